@@ -198,11 +198,11 @@ def deposit(
     nx, ny, nz = counts
     index, part_of_area = [], []
     amount = area.astype(dtype) / jnp.asarray(grid.voxel_volume, dtype)
-    # Flat places on [class, z, y, x]: two layers, rows and columns for each element.
-    layer_of_class = jnp.asarray(class_index, jnp.int32) * nz
+    # Flat places on [z, class, y, x]: two layers, rows and columns for each element.
+    kind = jnp.asarray(class_index, jnp.int32)
     for z, z_part in zip(indices[2], shares[2], strict=True):
         for y, y_part in zip(indices[1], shares[1], strict=True):
-            row = ((layer_of_class + z) * ny + y) * nx
+            row = ((z * n_classes + kind) * ny + y) * nx
             row_part = amount * z_part * y_part
             for x, x_part in zip(indices[0], shares[0], strict=True):
                 index.append(row + x)
@@ -212,11 +212,10 @@ def deposit(
     density = density.at[jnp.stack(index, axis=-1).ravel()].add(
         jnp.stack(part_of_area, axis=-1).ravel(), mode="drop"
     )
-    density = density.reshape(n_classes, nz, ny, nx)
-    for axis in range(3):
-        if times[axis] > 1:
-            density = _widen(density, 3 - axis, times[axis], beyond[axis], fold=axis == 2)
-    return density
+    density = density.reshape(nz, n_classes, ny, nx)
+    if max(times) > 1:
+        density = _widen(density, times, beyond)
+    return jnp.swapaxes(density, 0, 1)
 
 
 def _boxes(width: float | None, size: float) -> int:
@@ -232,20 +231,26 @@ def _boxes(width: float | None, size: float) -> int:
     return max(1, round(times))
 
 
-def _widen(density: Array, axis: int, boxes: int, beyond: int, *, fold: bool) -> Array:
-    """Mean of a field and of itself moved by 1, 2, ... voxels up an axis; without the voxels
-    `beyond` the ends, whose content goes to the ends with `fold`."""
-    moved = sum((jnp.roll(density, by, axis) for by in range(1, boxes)), start=density) / boxes
-    if beyond == 0:
-        return moved
-    size = moved.shape[axis] - 2 * beyond
-    below, inside, above = jnp.split(moved, [beyond, beyond + size], axis)
-    if fold:
-        first, last = [(0, 0)] * density.ndim, [(0, 0)] * density.ndim
-        first[axis], last[axis] = (0, size - 1), (size - 1, 0)
-        inside = inside + jnp.pad(below.sum(axis, keepdims=True), first)
-        inside = inside + jnp.pad(above.sum(axis, keepdims=True), last)
-    return inside
+def _widen(density: Array, times: tuple[int, ...], beyond: tuple[int, ...]) -> Array:
+    """Mean of [z, class, y, x] and of itself moved by 0, 1, ... `times` less one voxels along x, y
+    and z; without the voxels `beyond` the ends, whose content goes to the ends of z."""
+
+    def layer(below: Array, one: Array) -> tuple[Array, Array]:
+        for axis, count, more in zip((2, 1), times, beyond):
+            one = sum((jnp.roll(one, by, axis) for by in range(1, count)), start=one) / count
+            one = jax.lax.slice_in_dim(one, more, one.shape[axis] - more, axis=axis)
+        # As many layers as are yet to be added to those above.
+        column = jnp.concatenate([below, one[None]])
+        return column[1:], column.mean(axis=0)
+
+    # A layer at a time: whole fields between these steps would be kept for the derivative.
+    nz, n_classes, *sides = density.shape
+    ny, nx = (size - 2 * more for size, more in zip(sides, beyond[1::-1], strict=True))
+    none = jnp.zeros((times[2] - 1, n_classes, ny, nx), density.dtype)
+    _, moved = jax.lax.scan(layer, none, density)
+    size = nz - 2 * beyond[2]
+    ends = np.clip(np.arange(nz) - beyond[2], 0, size - 1)
+    return moved if size == nz else jax.ops.segment_sum(moved, ends, size)
 
 
 def _neighbours(
