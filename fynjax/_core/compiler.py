@@ -27,12 +27,12 @@ QUICK = {
     "--xla_cpu_scheduler_type=CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED": (0, 13),
     "--xla_cpu_use_fusion_emitters=false": (0, 11, 1),
 }
-"""Flags that save compilation and memory on processors, and the first version of jaxlib that does not know the
-flag or was not tried: XLA ends the process where it does not know one. fynjax compiles many
-small loops: without two parts of the compiler and at a lower level half of the compilation of an
-image goes and a third of a gradient's, and what comes out is as fast. Its usual order makes empty
-fields of loops long before they are filled: 0.76 GiB for 0.45 in an image of 10 m, 1.73 for 1.54 in
-its gradient."""
+"""Flags that save compilation and memory on processors, and the first version of jaxlib that does
+not know the flag or was not tried: XLA ends the process where it does not know one. fynjax compiles
+many small loops: without two parts of the compiler and at a lower level half of the compilation of
+an image goes and a third of a gradient's, and what comes out is as fast. XLA's usual order makes
+empty fields of loops long before they are filled: 0.76 GiB for 0.45 in an image of 10 m, 1.73 for
+1.54 in its gradient."""
 CARD = {
     "--xla_gpu_force_compilation_parallelism=16": (0, 13),
     "--xla_gpu_enable_triton_gemm=false": (0, 13),
