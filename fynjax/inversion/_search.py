@@ -386,28 +386,28 @@ class PlotSearch:
         ]
         draws = expected.prior_draws(_PRIOR_DRAWS) if any(many) else np.empty(0)
         covariance, parts, start = np.asarray(self.data_at(origin).covariance), [], 0
-        if any(many):
-            covariance = covariance + self._by_factors(origin)
+        by_factors = self._by_factors(origin) if any(many) else np.empty(0)
         for view, own, reduced in zip(self._predict.views, most, many, strict=True):
             part = slice(start, start := start + len(view.names))
             every = jnp.eye(len(view.names))
             parts.append(
-                informative_directions(draws[:, part], covariance[part, part], own)
+                informative_directions(
+                    draws[:, part], covariance[part, part], by_factors[part], own
+                )
                 if reduced
                 else Directions(every, every)
             )
         return Subspace(tuple(own.rows for own in parts), tuple(own.back for own in parts))
 
-    def _by_factors(self, place: SearchPlace) -> Float[np.ndarray, "statistic statistic"]:
-        """Covariance of the statistics by what the factors of the bands may be, to first order."""
+    def _by_factors(self, place: SearchPlace) -> Float[np.ndarray, "statistic coordinate"]:
+        """What the statistics change by whitened coordinates of the factors, to first order."""
         slopes, images = [], iter(place.images)
         for view in self.views:
             if isinstance(view, BandView):
                 slopes.append(np.asarray(_factor_slopes(view, next(images)), float))
             else:
                 slopes.append(np.zeros((len(view.names), 0)))
-        of_units = scipy.linalg.block_diag(*slopes) @ self.space.factors.root
-        return np.asarray(of_units @ of_units.T)
+        return np.asarray(scipy.linalg.block_diag(*slopes) @ self.space.factors.root)
 
     # -- what a place says ------------------------------------------------------------------
 

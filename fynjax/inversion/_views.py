@@ -186,21 +186,29 @@ class Directions(eqx.Module):
 def informative_directions(
     draws: Float[np.ndarray, "draw statistic"],
     covariance: Float[np.ndarray, "statistic statistic"],
+    by_factors: Float[np.ndarray, "statistic factor"],
     most: int,
 ) -> Directions:
-    """The directions of statistics in which draws of the prior spread most against the errors.
+    """The directions of statistics in which draws of the prior spread most against the errors, and
+    those that tell of the factors of bands.
 
     Where statistics are linear in the parameters these are the directions of most expected
-    information; what the others hold is left out, which costs information and no truth.
+    information; what the others hold is left out, which costs information and no truth. Those of
+    the parameters avoid what factors change, so that by them alone gains would be at will.
 
-    **Arguments:** `draws`, statistics of draws of the prior; `covariance` of the errors; `most`
-    directions.
+    **Arguments:** `draws`, statistics of draws of the prior of the parameters; `covariance` of the
+    errors, without factors; `by_factors`, what statistics change by a unit of each factor; `most`
+    directions, at most half of which are of factors.
     """
     # Whitened by the errors, so that the leading singular vectors tell most against noise.
-    root = np.linalg.cholesky(covariance)
+    root = np.linalg.cholesky(covariance + by_factors @ by_factors.T)
+    of_factors, size, _ = np.linalg.svd(np.linalg.solve(root, by_factors), full_matrices=False)
+    of_factors = of_factors[:, size > 1e-6 * size.max(initial=0.0)][:, : most // 2]
     whitened = np.linalg.solve(root, (draws - draws.mean(axis=0)).T)
+    whitened = whitened - of_factors @ (of_factors.T @ whitened)
     vectors, _, _ = np.linalg.svd(whitened, full_matrices=False)
-    chosen = vectors[:, :most]
+    both = np.concatenate([of_factors, vectors[:, : most - of_factors.shape[1]]], axis=1)
+    chosen, _ = np.linalg.qr(both)
     # rows @ covariance @ rows.T and rows @ back are identities.
     rows = np.linalg.solve(root.T, chosen).T
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))

@@ -410,8 +410,15 @@ def _headline(
         for index in [whole.clark_evans]
         if index == index  # not NaN, of fewer than two plants
     ]
+    none = species[(species.plants == 0) & (species.asked_percent > 0.0)]
+    absent = [
+        f"No plant of {', '.join(map(str, none.taxon))}: less than one is asked for, and chance "
+        "left it out. Another seed may plant it."
+    ]
     return [
-        f"{plot.name}, {lx:g} m x {ly:g} m: {whole.plants} plants of {len(species)} species, {how}",
+        f"{plot.name}, {lx:g} m x {ly:g} m: {whole.plants} plants of "
+        f"{(species.plants > 0).sum()} species, {how}",
+        *absent[: len(none)],
         *known,
         f"{_DEFINITIONS[plot.cover_definition]} Summed over species: asked "
         f"{whole.asked_percent:.1f} %, planted {whole.planted_percent:.1f} %, seen from above "

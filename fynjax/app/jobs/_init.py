@@ -42,7 +42,9 @@ from fynjax.canopy import band_word
 from fynjax.sensors import Sensor, shipped_sensors, sun_position
 
 _SIDE_M = 10.0
-"""Side of the plot that is written, unless crowns or pixels are wider [m]."""
+"""Side of the plot that is written, unless the image is smaller, or crowns or pixels wider [m]."""
+_STEP_M = 0.1
+"""Voxel of the plot file, of which a side is a whole number [m]."""
 _LOWEST_SUN = 85.0
 """Zenith angle of the sun up to which a time may be that of an image [degree]."""
 _SAME_BAND_NM = 25.0
@@ -77,6 +79,8 @@ class _Image:
     """The file, as a command in the folder of the plot names it."""
     place: tuple[float, float] | None
     pixel_m: float | None
+    across_m: float | None
+    """Shorter side of what it covers [m]."""
     sensor: str
     """A shipped sensor with its bands; empty where none has."""
     altitude_m: float | None
@@ -239,6 +243,7 @@ def _image(path: Path, folder: Path) -> _Image:
             shlex.quote(os.path.relpath(file.path.resolve(), folder.resolve())),
             place,
             pixel,
+            None if pixel is None else pixel * min(file.dataset.width, file.dataset.height),
             "" if sensor is None else sensor.name,
             altitude,
             time,
@@ -446,9 +451,11 @@ def _plot_toml(
         f"#   fynjax build plot.toml\n#   fynjax render plot.toml{target}\n\n"
     )
     text = head + text[text.index("[plot]") :]
-    side = _side(releve.plants, image)
+    side, of_side = _side(releve.plants, image)
     text = _set(text, "name", json.dumps(name, ensure_ascii=False), "")
-    text = _set(text, "size_m", f"{side:g}")
+    text = _set(
+        text, "size_m", f"{side:g}", f"one side, or [east-west, north-south], in m; {of_side}"
+    )
     text = _set(text, "plants", f'"{plants}"')
     text = _set(text, "cover_definition", f'"{releve.cover_definition}"')
     text = _set(text, "leaf_table", None)
@@ -472,10 +479,16 @@ def _plot_toml(
     return _with_own_calibration(text)
 
 
-def _side(plants: Iterable[PlantOfTable], image: _Image | None) -> float:
+def _side(plants: Iterable[PlantOfTable], image: _Image | None) -> tuple[float, str]:
+    """Side of the plot [m], and where it is from."""
     widest = max(plant.record.diameter for plant in plants)
     pixel = 0.0 if image is None or image.pixel_m is None else image.pixel_m
-    return max(_SIDE_M, math.ceil(3.0 * widest), math.ceil(2.0 * pixel))
+    side = max(_SIDE_M, math.ceil(3.0 * widest), math.ceil(2.0 * pixel))
+    across = None if image is None else image.across_m
+    # An image of more than the plot does not say how large this is.
+    if across is not None and 2.0 * pixel <= across < side:
+        return math.floor(across / _STEP_M + 1e-6) * _STEP_M, "that of the image"
+    return side, "ASSUMED"
 
 
 def _with_sun(text: str, place: tuple[float, float] | None, time: datetime | None) -> str:

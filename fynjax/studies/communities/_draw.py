@@ -63,7 +63,7 @@ def check_pool(pool: Plot, gradients: Gradients) -> None:
     if len(leafy) < gradients.richness[1]:
         raise InputError(
             f"the species table has {len(leafy)} species with leaves, but communities are to have "
-            f"up to {gradients.richness[1]} (`richness`)"
+            f"up to {gradients.richness[1]}: write at most {len(leafy)} (`richness`)"
         )
     if gradients.age is not None:
         known = set(table1_2006()["taxon"])
