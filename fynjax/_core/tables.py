@@ -648,6 +648,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
 def _cell(cell: Any) -> str:
     """A cell of a workbook as a CSV file has it: one that shows 12 % holds the number 0.12."""
     value = cell.value
-    if isinstance(value, float) and "%" in cell.number_format:
+    of_numbers = isinstance(value, int | float) and not isinstance(value, bool)
+    if of_numbers and "%" in re.sub(r'"[^"]*"|\\.', "", cell.number_format):  # its text apart
         return f"{100 * value:.15g}%"
     return "" if value is None else " ".join(str(value).split())

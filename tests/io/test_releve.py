@@ -137,6 +137,7 @@ def test_a_class_stays_a_class_where_a_row_of_ground_tells_it(tmp_path: Path) ->
      ("Artmächtigkeit", ("4", "0", "1"), ["class 4", "0", "class 1"]),
      ("Cover (Braun-Blanquet)", ("37.5", "3", "15"), ["37.5", "3", "15"]),
      ("Cover class", ("3", "+", "r"), ["class 3", "+", "r"]),
+     ("CoverClass", ("<1", "5-10", "1-5"), ["<1", "5-10", "1-5"]),
      ("Cover (Domin midpoints)", ("8", "4", "1"), ["8", "4", "1"])],
 )  # fmt: skip
 def test_the_heading_or_a_sociability_says_that_covers_are_classes(
@@ -153,6 +154,7 @@ def test_the_heading_or_a_sociability_says_that_covers_are_classes(
     [("Cover (Domin)", "classes of Domin cannot be read: write the middle"),
      ("Londo", "classes of Londo"), ("Cover class", "not of which scale"),
      ("Braun-Blanquet", "not all cells are classes of Braun-Blanquet"),
+     ("CoverClass", "not of which scale"), ("cover,HeightClass", "classes are no height"),
      ("Crown cover (m2)", "covers in m2 are no shares of the ground: divide them"),
      ("Cover (cm)", "covers in cm are no shares"), ("cover,Height class", "classes are no height"),
      ("cover,Crown area", "an area needs its unit")],
@@ -170,6 +172,8 @@ def test_a_column_of_names_says_more_than_one_of_numbers(tmp_path: Path) -> None
     assert column(read, "taxon") == ["Calluna vulgaris"]
     read = releve(tmp_path, "Genus,Species,Cover (%)\nProtea,repens,30\nErica,,10\n")
     assert column(read, "taxon") == ["Protea repens", "Erica sp."]
+    read = releve(tmp_path, "Genus,Species,Cover (%)\nProtea,repens,30\nLitter,,10\n")
+    assert read.ground == {"litter": 10.0}
     with pytest.raises(InputError, match="numbers are no names of plants"):
         releve(tmp_path, "Species no,Cover (%)\n12,30\n13,10\n")
 
@@ -179,6 +183,8 @@ def test_a_column_of_names_says_more_than_one_of_numbers(tmp_path: Path) -> None
     [("Crown radius (m)", ("0.6",), "120"), ("Rayon", ("30",), "60"),
      ("Crown area (m2)", ("1.2",), "123.608"), ("Kronenfläche [cm²]", ("1000",), "35.6825"),
      ("D1 (cm),D2 (cm)", ("120", "90"), "105"), ("diam1 (cm),diam2 (cm)", ("12", "9"), "10.5"),
+     ("Length (m),Width (m)", ("1.2", "0.8"), "100"),
+     ("Leaf length (cm),Shoot length (cm),Crown width (m)", ("9", "9", "1.1"), "110"),
      ("Crown radius (m),Crown diameter (m)", ("9", "1.1"), "110")],
 )  # fmt: skip
 def test_radii_areas_and_two_diameters_make_crown_diameters(

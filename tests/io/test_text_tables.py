@@ -137,6 +137,14 @@ def test_excel_workbooks(tmp_path, monkeypatch):
     book.save(tmp_path / "percent.xlsx")
     with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Or format the cells of"):
         read_rows(tmp_path / "percent.xlsx", NamedRow, "a table")
+    for value, form, cell in ((1, "0%", "100%"), (12, '0" %"', "12"), (12.5, r"0.0\%", "12.5")):
+        book = openpyxl.Workbook()
+        book.active.append(["taxon", "a_m"])
+        book.active.append(["x", value])
+        book.active["B2"].number_format = form
+        book.save(tmp_path / "shown.xlsx")
+        ((_, cells),) = open_table(tmp_path / "shown.xlsx", "a table").records()
+        assert cells == ["x", cell]
     shown = [["wavelength_nm", "oak (%)"], *([w, v / 100] for w, v in waves)]
     book = openpyxl.load_workbook(workbook(tmp_path / "shown.xlsx", shown))
     for (cell,) in book.worksheets[0]["B2:B9999"]:

@@ -62,10 +62,9 @@ def heading(name: str) -> Heading:
     unit = ""
     for bracket in re.findall(r"[(\[{]([^)\]}]*)[)\]}]", name):
         unit = unit or _OF_UNIT.get(words_of(bracket), "")
+    name = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
     scale = _scale(name)
-    plain = words_of(
-        re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", re.sub(r"([a-z])([A-Z])", r"\1 \2", name))
-    )
+    plain = words_of(re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", name))
     for word in (plain.rpartition(" ")[2], plain.partition(" ")[0]):
         if not unit and " " in plain and word in _OF_UNIT:
             unit = _OF_UNIT[word]

@@ -38,6 +38,8 @@ _OWN = tuple(columns(SpeciesRow))
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d+)?|[.,]\d+))\s*([^\d\s].*)?")
 _SMALLER, _LARGER = 20.0, 7.0
 """Parts and multiples of the usual size of a growth form beyond which a size is doubted."""
+_WIDTH = re.compile(r"\b(width|largeur|breite|ancho|larghezza|largura|breedte)\b")
+"""Beside a width a length is that of the crown."""
 _AREAS = {"m2", "dm2", "cm2", "ft2"}
 _LARGEST_CLASS = 10.0
 """Above it a number is no class of any scale, but percent."""
@@ -229,6 +231,9 @@ def _places(
                 )
             where = where[:1]
         found[role] = where
+    across = [i for i in found.pop("length", []) if heads[i].exact]
+    if any(_WIDTH.search(words_of(table.names[i])) for i in found.get("diameter", [])):
+        found["diameter"] += across
     for role in ("radius", "area"):  # of which a diameter follows, where none is stated
         if instead := found.pop(role, []):
             found.setdefault("diameter", instead)
@@ -268,9 +273,9 @@ def _with_classes(
 ) -> list[tuple[int, list[str]]]:
     """The rows with classes of cover named as such, as the heading or all the cells tell them."""
     name, covers, scale = table.names[at], [cells[at] for _, cells in rows], heads[at].scale
-    numbers = [float(m[1].replace(",", ".")) for c in covers if (m := _NUMBER.fullmatch(c))]
-    ranges = any("%" in cell or re.search(r"\d\s*[-–]\s*\d", cell) for cell in covers)
-    if scale is not None and (ranges or max(numbers, default=0.0) > _LARGEST_CLASS):
+    numbers = [float(one) for one in re.findall(r"\d+", " ".join(covers))]
+    percent = "%" in "".join(covers) or max(numbers, default=0.0) > _LARGEST_CLASS
+    if scale is not None and percent:
         said.append(f"Under {name!r} stand no classes: taken for percent.")
         return list(rows)
     with warnings.catch_warnings():
@@ -283,10 +288,10 @@ def _with_classes(
         "call the column so; else",
         "Braun-Blanquet": "not all cells are classes of Braun-Blanquet (1 to 5, r, +):",
     }.get(scale, f"classes of {scale} cannot be read:")
-    numbers_left = any(re.fullmatch(r"[\d.,]*[1-9]", str(cell)) for cell in named)
+    numbers_left = any(re.fullmatch(r"[\d.,]*[1-9][\d.,]*", str(cell)) for cell in named)
     if what and (numbers_left or scale not in ("", "Braun-Blanquet")):
-        percent = "write the middle of each class in percent, and call the column cover_percent"
-        faults.add(table.row, name, f"{what} {percent}")
+        write = "write the middle of each class in percent, and call the column cover_percent"
+        faults.add(table.row, name, f"{what} {write}")
     faults.stop()
     return [
         (row, [*cells[:at], str(cell), *cells[at + 1 :]])
@@ -302,9 +307,10 @@ def _without_ground(
 ) -> tuple[list[tuple[int, list[str]]], dict[str, float]]:
     """The rows that are plants, and the cover of those that are ground [%]."""
     (at,) = places["cover"]
+    names = [*places["taxon"], *places.get("genus", [])]
     kept, ground, left = [], dict[str, float](), []
     for row, cells in rows:
-        kind = ground_of_words(cells[places["taxon"][0]]) if places["taxon"] else ""
+        kind = next((ground_of_words(cells[i]) for i in names if cells[i]), "")
         if not kind:
             kept.append((row, cells))
             continue
@@ -314,7 +320,7 @@ def _without_ground(
             0.5 * sum(between) if between else float(number[1].replace(",", ".")) if number else 0.0
         )
         if kind == "total":
-            left.append(f"row {row} ({cells[places['taxon'][0]]})")
+            left.append(f"row {row} ({next(cells[i] for i in names if cells[i])})")
         else:
             ground[kind] = ground.get(kind, 0.0) + value
     if left:
@@ -555,8 +561,8 @@ def _doubt_sizes(path: Path, plants: Sequence[PlantOfTable], without_unit: Seque
         if odd:
             more = f" and {len(odd) - 3} more" if len(odd) > 3 else ""
             warnings.warn(
-                f"{path}: a {kind} of {'; '.join(odd[:3])}{more}. The unit is that which the "
-                "numbers seem to have: state it in the heading.",
+                f"{path}: a {kind} of {'; '.join(odd[:3])}{more}. No unit is stated, and m or cm "
+                "taken by the numbers: write it behind the name of the column, as in (cm).",
                 UserWarning,
                 stacklevel=3,
             )
