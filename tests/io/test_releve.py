@@ -167,6 +167,11 @@ def test_headings_that_say_of_no_percent_and_no_length_are_refused(
         releve(tmp_path, f"taxon,{head}\nA a,8{more}\nB b,7{more}\nC c,10{more}\n")
 
 
+def test_fractions_under_a_heading_of_classes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not of which scale"):
+        releve(tmp_path, "taxon,Cover class\nA a,0.625\nB b,0.375\n")
+
+
 def test_a_column_of_names_says_more_than_one_of_numbers(tmp_path: Path) -> None:
     read = releve(tmp_path, "SPECIES_NR;SPEC_NAME;COVER_PERC\n123;Calluna vulgaris;38\n")
     assert column(read, "taxon") == ["Calluna vulgaris"]

@@ -273,7 +273,8 @@ def _with_classes(
 ) -> list[tuple[int, list[str]]]:
     """The rows with classes of cover named as such, as the heading or all the cells tell them."""
     name, covers, scale = table.names[at], [cells[at] for _, cells in rows], heads[at].scale
-    numbers = [float(one) for one in re.findall(r"\d+", " ".join(covers))]
+    found = re.findall(r"\d+(?:[.,]\d+)?", " ".join(covers))
+    numbers = [float(one.replace(",", ".")) for one in found]
     percent = "%" in "".join(covers) or max(numbers, default=0.0) > _LARGEST_CLASS
     if scale is not None and percent:
         said.append(f"Under {name!r} stand no classes: taken for percent.")
