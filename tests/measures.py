@@ -199,9 +199,9 @@ MEASURES = {
     "names of two things": Measure(0, 0, names_of_two),
     "long functions": Measure(16, 15, large_functions),
     "lines of the library": Measure(
-        50_050, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
+        50_150, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(97_000, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(97_500, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 45
 """At most so many modules does a prediction enter; aimed at: 25."""

@@ -28,12 +28,14 @@ _MARKS = "\t;|,"
 """Separators, the likelier first; where none of them serves, blanks separate."""
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITH_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
+_IN_PERCENT = re.compile(r"%|percent|pct|prozent", re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _COMMENT = re.compile(r"\s*(#|//)\s*")
 _SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|REF!|NAME\?|VALUE!|NUM!|NULL!)")
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x19\x1b-\x1f\x7f]")
 _SEPARATOR_LINE = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _SAMPLE_LINES, _SAMPLE_SIZE = 200, 1 << 20
+_MOST_TITLES = 20
 _LARGEST_WORKBOOK = 1 << 26
 """Bytes that a workbook may unfold to: openpyxl needs 27 of memory for each, and half a minute of a
 core for so many."""
@@ -141,7 +143,9 @@ class TextTable:
         count = min(len(cells), self.width) + len(trimmed(list(beyond)))
         if count == self.width:
             return cells[: self.width]
-        if self.separator == " ":
+        if self.headed and self.width == 1:
+            hint = " Is the first row a title? Delete what is above the header."
+        elif self.separator == " ":
             hint = " A blank inside a name? Put the name in double quotes."
         elif count < self.width:
             hint = " Is the file cut short, or a separator missing?"
@@ -184,13 +188,15 @@ class TextTable:
         return cell.replace(",", ".") if mark == "," else cell
 
     def number(self, cell: str, row: int, column: str, missing: Collection[str] = ()) -> float:
-        """The number in a cell; NaN for a word of `missing`, in small letters.
+        """The number in a cell; NaN for a word of `missing`, in small letters. In a column named in
+        percent a cell may have the sign.
 
         **Raises:** `InputError` with the likely slip, and as `plain`.
         """
         if missing and cell.lower().replace(",", ".") in missing:
             return nan
-        plain = self.plain(cell, row, column)
+        in_percent = cell.endswith("%") and _IN_PERCENT.search(column)
+        plain = self.plain(cell[:-1].rstrip() if in_percent else cell, row, column)
         if _NUMBER.fullmatch(plain) and isfinite(value := float(plain)):
             return value
         words = f"expected a number, but got {cell!r}.{number_slip(cell)}"
@@ -278,19 +284,23 @@ class TextTable:
         return next(self._file(row - 1), "").strip()
 
 
-def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> TextTable:
+def open_table(
+    path: str | Path, what: str, *, data: bytes | None = None, titled: bool = True
+) -> TextTable:
     """Find how a table is written; its first row is the header.
 
     Tabs, semicolons, bars, commas or blanks separate, cells may stand in double quotes, and
     separators may end rows. Decimals have a point, or a comma where no commas separate. Text is
     UTF-8, UTF-16 or Windows-1252, and may be compressed (gzip). Lines that start with `#` are
-    comments. Of an Excel workbook the one sheet that has cells is read.
+    comments. A title above the header is left out where that is plain, with a warning. Of an Excel
+    workbook the one sheet that has cells is read.
 
     **Arguments:**
 
     - `path`: the file.
     - `what`: names the file in errors, such as "a species table".
     - `data`: its bytes, where they have been read.
+    - `titled`: whether to look for a title above the header.
 
     **Returns:** the table; its numbers have not been looked at.
 
@@ -298,7 +308,7 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     a workbook without the extra `tables`. Warns of decimals that may be thousands.
     """
     table, _ = _open(path, what, LARGEST_TEXT, data)
-    table.row, table.skip, names = next(table._rows(0))
+    table.row, table.skip, names = _header(table) if titled else next(table._rows(0))
     table.names = tuple(trimmed(names))
     if max(map(len, table.names), default=0) > _LONGEST_LINE:  # words are looked for in them
         words = f"expected names of columns of at most {_LONGEST_LINE} characters"
@@ -309,6 +319,39 @@ def open_table(path: str | Path, what: str, *, data: bytes | None = None) -> Tex
     if below and without_name and first == [str(k + 1) for k in range(len(first))]:
         table.names = ("", *table.names)  # R's write.table names no column of row names
     return table
+
+
+def _header(table: TextTable) -> tuple[int, int, list[str]]:
+    """First and last line of the header, and its cells: those of the first row, or of one of words
+    alone with numbers below it and rows of one or two cells above it."""
+    rows = list(itertools.islice(table._rows(0), _MOST_TITLES + 5))
+    filled = [[cell for cell in cells if cell] for _, _, cells in rows]
+    dated = False
+    for k, cells in enumerate(filled[:_MOST_TITLES]):
+        alone = k > 0 and len(filled[k - 1]) == 1
+        below = [row for row in filled[k + 1 :] if 1 < len(row) <= len(cells)]
+        if (
+            (alone or (dated and k > 0))
+            and table.separator != " "
+            and len(cells) > (1 if alone else 2)
+            and rows[k][2][: len(cells)] == cells
+            and len({*cells}) == len(cells)
+            and not any(map(is_number, cells))
+            and len(below) == len(filled[k + 1 :])
+            and any(is_number(cell) for row in below for cell in row)
+        ):
+            warnings.warn(
+                f"{table.path}: row {rows[k][0]} is taken for the header, and what is above it for "
+                "a title.",
+                UserWarning,
+                stacklevel=4,
+            )
+            return rows[k]
+        with_digits = any(re.search(r"\d", cell) for cell in cells)
+        if len(cells) > 2 and not with_digits:
+            break
+        dated |= with_digits
+    return rows[0]
 
 
 def numbers_rows(table: TextTable) -> bool:
@@ -605,6 +648,7 @@ def _workbook(data: bytes, path: Path, what: str) -> bytes:
 def _cell(cell: Any) -> str:
     """A cell of a workbook as a CSV file has it: one that shows 12 % holds the number 0.12."""
     value = cell.value
-    if isinstance(value, float) and "%" in cell.number_format:
+    of_numbers = isinstance(value, int | float) and not isinstance(value, bool)
+    if of_numbers and "%" in re.sub(r'"[^"]*"|\\.', "", cell.number_format):  # its text apart
         return f"{100 * value:.15g}%"
     return "" if value is None else " ".join(str(value).split())

@@ -126,8 +126,10 @@ def number_slip(cell: str) -> str:
     if head and head != text and _number(head) is not None:
         # The written unit may be another than the expected one.
         unit = text[len(head) :].strip()
+        shown_so = " Or format the cells of the workbook as numbers." if unit == "%" else ""
         return (
             f" Leave out the unit, {unit!r}: write the number alone, in the unit that is expected."
+            f"{shown_so}"
         )
     return ""
 

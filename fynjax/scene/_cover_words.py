@@ -28,6 +28,8 @@ _RANGE = re.compile(
     r"(\d+(?:[.,]\d*)?)\s*%?\s*(?:-|–|—|\.\.+|to|bis)\s*(\d+(?:[.,]\d*)?)\s*%?", re.IGNORECASE
 )
 _DIGITS = ("1", "2", "3", "4", "5")
+_SOCIABLE = re.compile(r"(r|\+|2[mab]|[1-5])[.,][1-5]")
+"""A class with a sociability behind it, as "4.5" or "+.2"."""
 _FEW = 3
 """Rows of a table from which on covers of 1 to 5 alone may be classes."""
 
@@ -36,10 +38,13 @@ def cover_range(text: str) -> tuple[float, float] | None:
     """Least and largest cover [%] that a word of a table stands for; `None` of a plain number.
 
     **Arguments:** `text`: a class of Braun-Blanquet that is no plain number ("+", "2a", or "class
-    3"), "<1", ">75", "5-10", or "trace".
+    3"), with a sociability or none ("+.2"), "<1", ">75", "5-10", or "trace".
     """
     word = text.strip().lower()
-    known = CLASSES.get("".join(word.removeprefix("class ").split()))
+    name = "".join(word.removeprefix("class ").split())
+    if (match := _SOCIABLE.fullmatch(name)) and match[1] not in _DIGITS:
+        name = match[1]
+    known = CLASSES.get(name)
     if known is not None and word not in _DIGITS:
         return known
     if _TRACE.fullmatch(word):
@@ -57,26 +62,32 @@ def _number(text: str) -> float:
     return float(text.replace(",", "."))
 
 
-def name_classes(cells: Sequence[Any]) -> list[Any]:
+def name_classes(cells: Sequence[Any], *, stated: bool = False) -> list[Any]:
     """The column of covers of a table with its classes of Braun-Blanquet named as such.
 
     A plain 1 to 5 is a class where another cell is a class that is no number, such as "+" or "2a",
     and the rest are classes, traces, or 0; else it is percent, with a warning where it may be meant
-    as a class all the same. A trace alone makes no classes.
+    as a class all the same. A trace alone makes no classes. Where a cell such as "+.2" shows that a
+    sociability stands behind the classes, 4.5 is class 4.
 
-    **Arguments:** `cells`, as a table has them.
+    **Arguments:** `cells`, as a table has them; `stated`: whether its heading says that these are
+    classes of Braun-Blanquet.
     """
     words = [_plain(cell) for cell in cells]
+    bare = [match[1] if (match := _SOCIABLE.fullmatch(word)) else word for word in words]
+    if sociable := stated or any(b != w and b not in _DIGITS for b, w in zip(bare, words)):
+        words = bare
     signs = [word for word in words if word in CLASSES and word not in _DIGITS]
     others = [
         word for word in words if word not in CLASSES and word != "0" and not _TRACE.fullmatch(word)
     ]
-    if signs and not others:
+    if (signs or stated) and not others:
         return [f"class {w}" if w in _DIGITS else cell for w, cell in zip(words, cells)]
+    words = [_plain(cell) for cell in cells]
     digits = [bool(re.fullmatch(r"[1-5]([.,][1-5])?", word)) for word in words]
     numbers = sum(bool(re.fullmatch(r"\d+([.,]\d+)?", word)) for word in words)
     whole = sum(word in _DIGITS for word in words)
-    parts = 2 * whole >= numbers and any(word in ("2m", "2a", "2b") for word in signs)
+    parts = sociable or (2 * whole >= numbers and any(word in ("2m", "2a", "2b") for word in signs))
     if any(digits) and (parts or (len(words) >= _FEW and all(digits))):
         warnings.warn(
             f"covers of {listed(dict.fromkeys(w for w, d in zip(words, digits) if d))} are taken "

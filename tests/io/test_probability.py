@@ -207,6 +207,21 @@ def test_a_map_without_a_pattern_is_told(tmp_path: Path) -> None:
         read_probability_map(path, (30, 20))
 
 
+def test_a_map_of_classes_or_percent_is_doubted(tmp_path: Path) -> None:
+    for largest, words in ((2, "in classes"), (100, "in percent")):
+        path = raster(tmp_path / "m.tif", np.where(GREY > 100, largest, 1).astype(np.uint8))
+        with pytest.warns(UserWarning, match=f"{largest}/255. Is the map {words}"):
+            read_probability_map(path, (30, 20))
+    for colour, grey in (((200, 0, 0, 255), False), ((200, 200, 200, 255), True)):
+        with rasterio.open(path := raster(tmp_path / "p.tif", GREY), "r+") as file:
+            file.write_colormap(1, {k: (k, k, k, 255) for k in range(256)} | {200: colour})
+        if grey:
+            assert read_probability_map(path, (30, 20)).shape == GREY.shape
+        else:
+            with pytest.raises(InputError, match="band 1 has a palette"):
+                read_probability_map(path, (30, 20))
+
+
 def test_a_plot_file_reads_its_map(tmp_path: Path) -> None:
     folder = tmp_path / "plot"
     shutil.copytree(example_folder(), folder)

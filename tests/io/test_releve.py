@@ -128,6 +128,92 @@ def test_a_class_stays_a_class_where_a_row_of_ground_tells_it(tmp_path: Path) ->
     assert read.ground == {"litter": 8.75}
 
 
+@pytest.mark.parametrize(
+    ("head", "cells", "covers"),
+    [("Recouvrement", ("4.5", "+.2", "2,3"), ["class 4", "+.2", "class 2"]),
+     ("cover", ("4.5", "r.1", "2a.3"), ["class 4", "r.1", "2a.3"]),
+     ("Braun-Blanquet", ("3", "2", "1"), ["class 3", "class 2", "class 1"]),
+     ("BB", ("3.4", "2.2", "1.1"), ["class 3", "class 2", "class 1"]),
+     ("Artmächtigkeit", ("4", "0", "1"), ["class 4", "0", "class 1"]),
+     ("Cover (Braun-Blanquet)", ("37.5", "3", "15"), ["37.5", "3", "15"]),
+     ("Cover class", ("3", "+", "r"), ["class 3", "+", "r"]),
+     ("CoverClass", ("<1", "5-10", "1-5"), ["<1", "5-10", "1-5"]),
+     ("Cover (Domin midpoints)", ("8", "4", "1"), ["8", "4", "1"])],
+)  # fmt: skip
+def test_the_heading_or_a_sociability_says_that_covers_are_classes(
+    tmp_path: Path, head: str, cells, covers
+) -> None:
+    rows = "\n".join(f"{name};{cell}" for name, cell in zip("ABC", cells, strict=True))
+    read = releve(tmp_path, f"taxon;{head}\n{rows}\n")
+    assert column(read, "cover_percent") == covers
+    assert read.plants[1].record.cover < 0.26
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [("Cover (Domin)", "classes of Domin cannot be read: write the middle"),
+     ("Londo", "classes of Londo"), ("Cover class", "not of which scale"),
+     ("Braun-Blanquet", "not all cells are classes of Braun-Blanquet"),
+     ("CoverClass", "not of which scale"), ("cover,HeightClass", "classes are no height"),
+     ("Crown cover (m2)", "covers in m2 are no shares of the ground: divide them"),
+     ("Cover (cm)", "covers in cm are no shares"), ("cover,Height class", "classes are no height"),
+     ("cover,Crown area", "an area needs its unit")],
+)  # fmt: skip
+def test_headings_that_say_of_no_percent_and_no_length_are_refused(
+    tmp_path: Path, head: str, words: str
+) -> None:
+    more = ",3" * head.count(",")
+    with pytest.raises(InputError, match=words):
+        releve(tmp_path, f"taxon,{head}\nA a,8{more}\nB b,7{more}\nC c,10{more}\n")
+
+
+def test_fractions_under_a_heading_of_classes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not of which scale"):
+        releve(tmp_path, "taxon,Cover class\nA a,0.625\nB b,0.375\n")
+
+
+def test_a_column_of_names_says_more_than_one_of_numbers(tmp_path: Path) -> None:
+    read = releve(tmp_path, "SPECIES_NR;SPEC_NAME;COVER_PERC\n123;Calluna vulgaris;38\n")
+    assert column(read, "taxon") == ["Calluna vulgaris"]
+    read = releve(tmp_path, "Genus,Species,Cover (%)\nProtea,repens,30\nErica,,10\n")
+    assert column(read, "taxon") == ["Protea repens", "Erica sp."]
+    read = releve(tmp_path, "Genus,Species,Cover (%)\nProtea,repens,30\nLitter,,10\n")
+    assert read.ground == {"litter": 10.0}
+    with pytest.raises(InputError, match="numbers are no names of plants"):
+        releve(tmp_path, "Species no,Cover (%)\n12,30\n13,10\n")
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "centimetres"),
+    [("Crown radius (m)", ("0.6",), "120"), ("Rayon", ("30",), "60"),
+     ("Crown area (m2)", ("1.2",), "123.608"), ("Kronenfläche [cm²]", ("1000",), "35.6825"),
+     ("D1 (cm),D2 (cm)", ("120", "90"), "105"), ("diam1 (cm),diam2 (cm)", ("12", "9"), "10.5"),
+     ("Length (m),Width (m)", ("1.2", "0.8"), "100"),
+     ("Leaf length (cm),Shoot length (cm),Crown width (m)", ("9", "9", "1.1"), "110"),
+     ("Crown radius (m),Crown diameter (m)", ("9", "1.1"), "110")],
+)  # fmt: skip
+def test_radii_areas_and_two_diameters_make_crown_diameters(
+    tmp_path: Path, head: str, cells, centimetres: str
+) -> None:
+    read = releve(tmp_path, f"taxon,cover,{head}\nErica,20,{','.join(cells)}\n")
+    assert column(read, "mean_diameter_cm") == [centimetres]
+    assert not read.plants[0].assumed[:-1]
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "words"),
+    [("Height", ("5", "2"), "height of Thymus 5 m, for a usual 0.06 m; Moss 2 m"),
+     ("Diameter", ("1", "3"), "diameter of Thymus 0.01 m, for a usual 0.3 m.")],
+)  # fmt: skip
+def test_sizes_without_a_unit_that_a_form_does_not_have_are_doubted(
+    tmp_path: Path, head: str, cells, words: str
+) -> None:
+    text = "taxon,cover,{}\nThymus,20,{}\nMoss,10,{}\n"
+    with pytest.warns(UserWarning, match=words):
+        releve(tmp_path, text.format(head, *cells))
+    releve(tmp_path, text.format(f"{head} (cm)", *cells))
+
+
 def test_every_fault_is_told_at_once_with_what_to_write(tmp_path: Path) -> None:
     text = (
         "Species,Cover,Height (m),Diameter (cm)\n"
@@ -199,7 +285,7 @@ def test_the_shipped_heath_states_its_source() -> None:
         ("Altura total (m)", "height", "m"),
         ("Kronen-Ø (cm)", "diameter", "cm"),
         ("Crown spread (m)", "diameter", "m"),
-        ("Canopy radius (m)", "", "m"),
+        ("Canopy radius (m)", "radius", "m"),
         ("DAS (cm)", "", "cm"),
     ],
 )

@@ -135,14 +135,59 @@ def test_excel_workbooks(tmp_path, monkeypatch):
     del book["sheet 1"]._cells[9999, 16384]
     book["sheet 1"]["B3"].number_format = "0.00%"
     book.save(tmp_path / "percent.xlsx")
-    with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Leave out the unit"):
+    with pytest.raises(InputError, match=r"row 3, column 'a_m': .*Or format the cells of"):
         read_rows(tmp_path / "percent.xlsx", NamedRow, "a table")
+    for value, form, cell in ((1, "0%", "100%"), (12, '0" %"', "12"), (12.5, r"0.0\%", "12.5")):
+        book = openpyxl.Workbook()
+        book.active.append(["taxon", "a_m"])
+        book.active.append(["x", value])
+        book.active["B2"].number_format = form
+        book.save(tmp_path / "shown.xlsx")
+        ((_, cells),) = open_table(tmp_path / "shown.xlsx", "a table").records()
+        assert cells == ["x", cell]
+    shown = [["wavelength_nm", "oak (%)"], *([w, v / 100] for w, v in waves)]
+    book = openpyxl.load_workbook(workbook(tmp_path / "shown.xlsx", shown))
+    for (cell,) in book.worksheets[0]["B2:B9999"]:
+        cell.number_format = "0.00%"
+    book.save(tmp_path / "shown.xlsx")
+    (in_percent,) = read_file(tmp_path / "shown.xlsx")
+    np.testing.assert_allclose(in_percent.reflectance, 0.01 * spectrum.reflectance, rtol=1e-14)
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(MissingExtraError, match=r'pip install "fynjax\[tables\]"'):
         read_rows(path, NamedRow, "a table")
 
 
 HEAD = "taxon;a_m;b_m\n"
+
+
+@pytest.mark.parametrize(
+    ("above", "titled"),
+    [("Survey;;\n", True), ("Plot 12, 2022-03-14\nObserver: Smith\n\n", True),
+     ("Plot;12\nObserver;Smith\n", True), ("Plot 12;Date;2022-03-14\nObserver: Smith;;\n", True),
+     ("# Survey\n", False)],
+)  # fmt: skip
+def test_a_title_above_the_header_is_left_out(tmp_path: Path, above: str, titled: bool) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f"{above}{HEAD}x;1;2\ny;3;4\n", "utf-8")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        rows = read_rows(path, NamedRow, "a table")
+    assert [(row.taxon, row.a_m, row.b_m) for _, row in rows] == [("x", 1, 2), ("y", 3, 4)]
+    assert [f"row {1 + path.read_text().count(chr(10)) - 3} is taken" in str(t.message)
+            for t in told] == [True] * titled  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["taxon;kind;layer\nShrubs;;\nx;low;tall\ny;3;4\n", "taxon;kind\nx;low;odd\ny;3;4\n",
+     "taxon;kind\nx\ny;3\n", "1;2\nx\ntaxon;kind\nx;low\n"],
+)  # fmt: skip
+def test_a_header_is_no_title(tmp_path: Path, text: str) -> None:
+    (tmp_path / "table.csv").write_text(text)
+    assert open_table(tmp_path / "table.csv", "a table").row == 1
+    (tmp_path / "table.csv").write_text("Survey;;\ntaxon;kind\nx;low\n")
+    with pytest.raises(InputError, match=r"expected 1 cells .* Is the first row a title\?"):
+        list(open_table(tmp_path / "table.csv", "a table").records())
 
 
 @pytest.mark.parametrize(

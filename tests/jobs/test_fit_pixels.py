@@ -81,6 +81,25 @@ def test_an_offset_of_sentinel_2_is_told(offset, said, tmp_path):
     assert ("offset of 1000" in " ".join(words)) == said
 
 
+@pytest.mark.parametrize(
+    ("factor", "doubt"),
+    [(1.0, False), (100.0, False), (1e4, False), (1000.0, True), (200.0, True), (255.0, True)],
+)
+def test_a_near_infrared_that_no_canopies_have_is_doubted(factor, doubt, tmp_path):
+    table(np.round(factor * SPECTRA, 3)).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    assert ("in another scale" in " ".join(read.said)) == doubt
+
+
+def test_bands_of_a_sensor_may_be_named_by_wavelengths(tmp_path):
+    names = ["x2190", "1610", "R865", "842 nm", "665"]
+    seen = SPECTRA[:, [10, 9, 8, 7, 3]]
+    table(seen, names).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    assert read.bands.names == ("B4", "B8", "B8A", "B11", "B12")
+    np.testing.assert_allclose(read.reflectance, seen[:, ::-1])
+
+
 def test_bands_by_colours_and_names_of_catalogues(tmp_path):
     names = ["coastal", "blue", "green", "red", "nir", "swir16", "swir22", "qa_2021"]
     seen = SPECTRA[:, [0, 1, 2, 3, 8, 9, 10, 0]]

@@ -169,6 +169,13 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
         init_from_table(tmp_path / "p", table(tmp_path))
 
 
+def test_doubts_of_the_table_are_told_with_those_of_the_plot(tmp_path: Path) -> None:
+    plants = tmp_path / "table.csv"
+    plants.write_text("taxon,cover\nErica a,3\nErica b,2\nErica c,1\n", "utf-8")
+    made = init_from_table(tmp_path / "plot", plants)  # a warning would be an error here
+    assert any("covers of 3, 2, 1 are taken for percent" in one for one in made.warnings)
+
+
 def test_leaves_of_taxa_with_authors_and_the_way_to_an_image_of_integers(tmp_path: Path) -> None:
     plants = tmp_path / "matorral.csv"
     plants.write_text(

@@ -34,7 +34,7 @@ def test_each_word_is_its_range(tmp_path):
         ("<1", 0, 1), ("< 0,5", 0, 0.5), ("≤2 %", 0, 2), (">75", 75, 100), ("5-10", 5, 10),
         ("5 – 10 %", 5, 10), ("2,5 to 5", 2.5, 5), ("trace", 0, 0.1), ("tr.", 0, 0.1),
         ("class 1", 1, 5), ("class 2", 5, 25), ("class 3", 25, 50), ("class 4", 50, 75),
-        ("class 5", 75, 100), ("x", 0, 0.1),
+        ("class 5", 75, 100), ("x", 0, 0.1), ("2a.3", 5, 12.5),
     ):  # fmt: skip
         (row,) = covers([cell], tmp_path)
         np.testing.assert_allclose(row.cover_range, (low / 100, high / 100))
@@ -59,6 +59,10 @@ def test_plain_numbers_are_classes_beside_classes_only(tmp_path):
     assert [row.cover for row in rows] == pytest.approx([0.0875, 0.15, 0.03])
     with pytest.warns(UserWarning, match="3 are taken for percent"):
         covers(["2a", "<1", "3"], tmp_path)
+    with pytest.warns(UserWarning, match="4.5 are taken for percent"):
+        covers(["+.2", "4.5", "60"], tmp_path, mark=".")
+    rows = covers(["4.5", "+.2", "2"], tmp_path, mark=".")  # with sociabilities
+    assert [row.cover for row in rows] == pytest.approx([0.625, 0.0055, 0.15])
     for cells, expected in (  # neither zeros nor decimals change the scale, nor do traces make it
         (["+", "0", "1", "2"], [0.0055, 0.0, 0.03, 0.15]),
         (["+", "1,0", "3"], [0.0055, 0.03, 0.375]),

@@ -29,6 +29,10 @@ _CATALOGUE = {
 """Names of bands in catalogues of satellites (STAC), with their middles [nm]."""
 _LANDSAT = 2.75e-5, -0.2
 """Factor and offset of Landsat's collection 2."""
+_NEAR = 780.0, 1300.0
+"""Near infrared, where canopies are brightest [nm]."""
+_DARKEST, _BRIGHTEST = 0.08, 0.75
+"""What the brightest canopies of an image reflect there at least, and at most [-]."""
 _LEAST_STORED = 6000.0
 """Below what stands there for a reflectance of 0, 7273."""
 
@@ -75,7 +79,9 @@ def _table(path: Path, sensor: Sensor | None) -> CanopyPixels:
     numbers = [*places, *angles.values()]
     rest = [i for i in range(table.width) if i not in numbers]
     frame = table.columns(numbers, rest, missing=("", "na", "nan", "none", "null"))
-    values, said = _scaled(frame[places].to_numpy(float), [table.names[i] for i in places], sensor)
+    names = [table.names[i] for i in places]
+    values, said = _scaled(frame[places].to_numpy(float), names, sensor)
+    said += _doubts(values, bands)
     notes = frame[rest].set_axis([table.names[i] or "row" for i in rest], axis=1)
     seen = frame[list(angles.values())].set_axis(list(angles), axis=1)
     return CanopyPixels(bands, values, [words, *said], notes, seen if angles else None)
@@ -98,6 +104,7 @@ def _image(path: Path, sensor: Sensor | None) -> CanopyPixels:
         ]
         values = np.concatenate(parts).reshape(-1, len(places)).astype(float)
         values, said = _scaled(values, [cube.names[i] for i in places], sensor)
+        said += _doubts(values, bands)
         return CanopyPixels(
             bands, values, [words, *said],
             shape=cube.shape, transform=cube.transform, crs=cube.crs,
@@ -110,9 +117,11 @@ def _places(
     """Columns that are bands, what bands they are, and that in words."""
     if sensor is not None:
         found = {}
+        if stated is None or np.isnan(stated).all():
+            stated = _wavelengths(names)
         for i, name in enumerate(names):
             band = _band_of(name, sensor.bands)
-            if band is None and stated is not None and np.isfinite(stated[i]):
+            if band is None and np.isfinite(stated[i]):
                 band = _nearest(float(stated[i]), sensor.bands)
             if band is not None and band not in found:
                 found[band] = i
@@ -231,3 +240,19 @@ def _scaled(
         f"expected reflectance, but 5 % of the values are above {high:.4g}. Is it radiance, or "
         "counts?"
     )
+
+
+def _doubts(values: np.ndarray, bands: BandSet | np.ndarray) -> list[str]:
+    """A sentence on reflectance in the near infrared that no canopies have."""
+    centre = np.asarray(getattr(bands, "centre", bands))
+    near = values[:, (centre > _NEAR[0]) & (centre < _NEAR[1])]
+    if not np.isfinite(near).any():
+        return []
+    high = float(np.nanquantile(near, 0.95))
+    if _DARKEST < high < _BRIGHTEST:
+        return []
+    return [
+        f"So read, the near infrared of the brightest pixels is {high:.2g}, but of canopies "
+        f"{_DARKEST:g} to {_BRIGHTEST:g}: are the numbers in another scale, such as thousandths or "
+        "counts? Then give fractions of 0 to 1."
+    ]

@@ -122,7 +122,9 @@ def init_from_table(
     """
     folder = Path(folder)
     learned = None if prior is None else read_prior(prior)
-    releve = read_releve(table)
+    with warnings.catch_warnings(record=True) as of_table:
+        warnings.simplefilter("always", UserWarning)
+        releve = read_releve(table)
     seen = None if image is None else _image(Path(image), folder)
     place, of_place = _place(place, seen)
     fynbos = prior != NO_PRIOR and place is not None and in_the_cape(*place)
@@ -169,7 +171,7 @@ def init_from_table(
         else "The table has packing, fill, branches or a least area, by which covers are those of "
         'the article, eq. (10): cover_definition = "article".'
     )
-    heard = [" ".join(str(one.message).split()) for one in caught]
+    heard = [" ".join(str(one.message).split()) for one in (*of_table, *caught)]
     heard = [one.replace(f"{staged}/", "") for one in dict.fromkeys(heard)]
     return InitResult(output=str(folder), seed=seed, headline=said, files=files, warnings=heard)
 

@@ -14,6 +14,9 @@ _WORDS = {
     ).items()
 }
 """Words of columns, units, growth forms and ground, by what they stand for."""
+_SCALE_OF = {word: scale for scale, words in _WORDS["scales"].items() for word in words}
+_NUMBERED = re.compile(r"\b(diam|diameter|diametre|diametro|durchmesser)(\d)\b")
+_NO_CLASSES = re.compile(r"%|\b(percent\w*|pct|mid|midpoints?|middles?|mitte|mittel\w*)\b")
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
 """Metres in each unit of length that a column may have."""
 
@@ -46,6 +49,9 @@ class Heading:
     """Its unit, such as "cm" or "%"; empty where none is stated."""
     exact: bool
     """Whether the whole heading is a known name, not only part of it."""
+    scale: str | None = None
+    """Scale of classes, such as "Braun-Blanquet"; empty of classes of some scale, and None where
+    the heading says of none."""
 
 
 def heading(name: str) -> Heading:
@@ -56,9 +62,9 @@ def heading(name: str) -> Heading:
     unit = ""
     for bracket in re.findall(r"[(\[{]([^)\]}]*)[)\]}]", name):
         unit = unit or _OF_UNIT.get(words_of(bracket), "")
-    plain = words_of(
-        re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", re.sub(r"([a-z])([A-Z])", r"\1 \2", name))
-    )
+    name = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    scale = _scale(name)
+    plain = words_of(re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", name))
     for word in (plain.rpartition(" ")[2], plain.partition(" ")[0]):
         if not unit and " " in plain and word in _OF_UNIT:
             unit = _OF_UNIT[word]
@@ -70,16 +76,24 @@ def heading(name: str) -> Heading:
         words.pop()
     while len(words) > 1 and words[0] in _OF_UNIT:
         words.pop(0)
-    bare = " ".join(words)
+    bare = _NUMBERED.sub(r"\1 \2", " ".join(words))
     if bare in _ROLE_OF:
-        return Heading(_ROLE_OF[bare], unit, exact=True)
+        return Heading(_ROLE_OF[bare], unit, True, scale)
     if _NOT_OF_CROWNS.search(bare):
         return Heading("", unit, exact=False)
     padded, found = f" {bare} ", ("", 0)
     for word, role in _ROLE_OF.items():
         if len(word) > max(found[1], 3) and f" {word} " in padded:
             found = role, len(word)
-    return Heading(found[0], unit, exact=False)
+    return Heading(found[0] or ("cover" if scale else ""), unit, False, scale)
+
+
+def _scale(name: str) -> str | None:
+    """The scale of classes that a heading names, as `Heading` has it."""
+    padded = f" {words_of(name)} "
+    if "%" in name or _NO_CLASSES.search(padded):
+        return None
+    return next((scale for word, scale in _SCALE_OF.items() if f" {word} " in padded), None)
 
 
 def form_of_words(text: str) -> str:

@@ -1,7 +1,9 @@
 """A table of plants in somebody's own words, as rows of a species table: what `fynjax init --table`
 reads."""
 
+import math
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +36,13 @@ _MOST_FAULTS = 20
 """Faults that one message names."""
 _OWN = tuple(columns(SpeciesRow))
 _NUMBER = re.compile(r"([+-]?(?:\d+(?:[.,]\d+)?|[.,]\d+))\s*([^\d\s].*)?")
+_SMALLER, _LARGER = 20.0, 7.0
+"""Parts and multiples of the usual size of a growth form beyond which a size is doubted."""
+_WIDTH = re.compile(r"\b(width|largeur|breite|ancho|larghezza|largura|breedte)\b")
+"""Beside a width a length is that of the crown."""
+_AREAS = {"m2", "dm2", "cm2", "ft2"}
+_LARGEST_CLASS = 10.0
+"""Above it a number is no class of any scale, but percent."""
 _MISSING = (
     "",
     "na",
@@ -148,11 +157,12 @@ def read_releve(path: str | Path) -> Releve:
     if not rows:
         raise InputError("expected a table of plants, but there is only a header")
     numbered = [0] if numbers_rows(table) else []
-    places, said = _places(table, heads, faults)
+    places, said = _places(table, rows, heads, faults)
     faults.stop()
     used = {i for found in places.values() for i in found} | set(numbered)
     own = {name: i for i, name in enumerate(table.names) if name in _OWN and i not in used}
     notes = [i for i in range(table.width) if i not in used and i not in own.values()]
+    rows = _with_classes(table, rows, places["cover"][0], heads, said, faults)
     rows, ground = _without_ground(rows, places, said, faults)
     _check_one_plot(table, rows, places, faults)
     taxa = _taxa(table, rows, places, said, faults)
@@ -181,6 +191,7 @@ def read_releve(path: str | Path) -> Releve:
             plants.append(PlantOfTable(number, given, source, tuple(assumed), about, record))
     _check_twice(rows, taxa, faults)
     faults.stop()
+    _doubt_sizes(path, plants, [k for k, w in places.items() if any(not heads[i].unit for i in w)])
     every = [(plant.row, plant.record) for plant in plants]
     check_species(every, path, cover_definition_of([record for _, record in every]))
     names = tuple(table.names[i] or f"column {i + 1}" for i in notes)
@@ -191,7 +202,10 @@ def read_releve(path: str | Path) -> Releve:
 
 
 def _places(
-    table: TextTable, heads: Sequence[Heading], faults: _Faults
+    table: TextTable,
+    rows: Sequence[tuple[int, list[str]]],
+    heads: Sequence[Heading],
+    faults: _Faults,
 ) -> tuple[dict[str, list[int]], list[str]]:
     """Where the columns of each role stand, and what to say of how they were taken."""
     found: dict[str, list[int]] = {}
@@ -200,6 +214,9 @@ def _places(
             found.setdefault(head.role, []).append(i)
     said: list[str] = []
     for role, where in found.items():
+        if role == "taxon":  # a column of names says more than one of their numbers
+            named = [i for i in where if not all(cells[i].isdigit() for _, cells in rows)]
+            where = named or where
         if exact := [i for i in where if heads[i].exact]:
             where = exact
         if role not in ("diameter", "height", "form") and len(where) > 1:
@@ -214,6 +231,12 @@ def _places(
                 )
             where = where[:1]
         found[role] = where
+    across = [i for i in found.pop("length", []) if heads[i].exact]
+    if any(_WIDTH.search(words_of(table.names[i])) for i in found.get("diameter", [])):
+        found["diameter"] += across
+    for role in ("radius", "area"):  # of which a diameter follows, where none is stated
+        if instead := found.pop(role, []):
+            found.setdefault("diameter", instead)
     if "taxon" not in found and {"genus", "epithet"} <= set(found):
         found["taxon"] = []
     for role, write in (("taxon", "taxon"), ("cover", "cover_percent")):
@@ -240,23 +263,55 @@ def _places(
     return found, said
 
 
+def _with_classes(
+    table: TextTable,
+    rows: Sequence[tuple[int, list[str]]],
+    at: int,
+    heads: Sequence[Heading],
+    said: list[str],
+    faults: _Faults,
+) -> list[tuple[int, list[str]]]:
+    """The rows with classes of cover named as such, as the heading or all the cells tell them."""
+    name, covers, scale = table.names[at], [cells[at] for _, cells in rows], heads[at].scale
+    found = re.findall(r"\d+(?:[.,]\d+)?", " ".join(covers))
+    numbers = [float(one.replace(",", ".")) for one in found]
+    percent = "%" in "".join(covers) or max(numbers, default=0.0) > _LARGEST_CLASS
+    if scale is not None and percent:
+        said.append(f"Under {name!r} stand no classes: taken for percent.")
+        return list(rows)
+    with warnings.catch_warnings():
+        if scale is not None:
+            warnings.simplefilter("ignore", UserWarning)
+        named = name_classes(covers, stated=scale == "Braun-Blanquet")
+    what = {
+        None: "",
+        "": "the heading says of classes, but not of which scale. If it is that of Braun-Blanquet, "
+        "call the column so; else",
+        "Braun-Blanquet": "not all cells are classes of Braun-Blanquet (1 to 5, r, +):",
+    }.get(scale, f"classes of {scale} cannot be read:")
+    numbers_left = any(re.fullmatch(r"[\d.,]*[1-9][\d.,]*", str(cell)) for cell in named)
+    if what and (numbers_left or scale not in ("", "Braun-Blanquet")):
+        write = "write the middle of each class in percent, and call the column cover_percent"
+        faults.add(table.row, name, f"{what} {write}")
+    faults.stop()
+    return [
+        (row, [*cells[:at], str(cell), *cells[at + 1 :]])
+        for (row, cells), cell in zip(rows, named, strict=True)
+    ]
+
+
 def _without_ground(
     rows: list[tuple[int, list[str]]],
     places: dict[str, list[int]],
     said: list[str],
     faults: _Faults,
 ) -> tuple[list[tuple[int, list[str]]], dict[str, float]]:
-    """The rows that are plants, and the cover of those that are ground [%]. Classes of cover are
-    named as such, as long as all rows are there to tell them by."""
+    """The rows that are plants, and the cover of those that are ground [%]."""
     (at,) = places["cover"]
-    named = name_classes([cells[at] for _, cells in rows])
-    rows = [
-        (row, [*cells[:at], str(cell), *cells[at + 1 :]])
-        for (row, cells), cell in zip(rows, named, strict=True)
-    ]
+    names = [*places["taxon"], *places.get("genus", [])]
     kept, ground, left = [], dict[str, float](), []
     for row, cells in rows:
-        kind = ground_of_words(cells[places["taxon"][0]]) if places["taxon"] else ""
+        kind = next((ground_of_words(cells[i]) for i in names if cells[i]), "")
         if not kind:
             kept.append((row, cells))
             continue
@@ -266,7 +321,7 @@ def _without_ground(
             0.5 * sum(between) if between else float(number[1].replace(",", ".")) if number else 0.0
         )
         if kind == "total":
-            left.append(f"row {row} ({cells[places['taxon'][0]]})")
+            left.append(f"row {row} ({next(cells[i] for i in names if cells[i])})")
         else:
             ground[kind] = ground.get(kind, 0.0) + value
     if left:
@@ -314,7 +369,9 @@ def _taxa(
         first = "" if genus is None else cells[genus]
         if not name and epithet is not None:
             name = cells[epithet]
-        if first and name and " " not in name and name != first:
+        if first and not name:
+            name = f"{first} sp."
+        elif first and " " not in name and name != first:
             name = f"{first} {name}"  # genus and epithet in columns of their own
         if not name:
             faults.add(
@@ -324,6 +381,12 @@ def _taxa(
             )
         names.append(name)
     twice = {name for name in names if name and names.count(name) > 1}
+    if names and all(name.isdigit() for name in names):
+        faults.add(
+            None,
+            "" if at is None else table.names[at],
+            "numbers are no names of plants: write the names, or 'Species 12' for 12",
+        )
     if twice and layer is not None:
         in_layers = [
             f"{name} ({cells[layer]})" if name in twice and cells[layer] else name
@@ -358,7 +421,14 @@ def _covers(
 ) -> list[str]:
     """Covers as a species table has them: percent, or classes and ranges as they are written."""
     (at,) = places["cover"]
-    name = table.names[at]
+    name, unit = table.names[at], heads[at].unit
+    if unit not in ("", "%", "fraction"):
+        faults.add(
+            table.row,
+            name,
+            f"covers in {unit} are no shares of the ground: divide them by the plot's own "
+            f"{'area' if unit.endswith('2') else 'length'}, times 100, and write % for the unit",
+        )
     found: list[str] = []
     for row, cells in rows:
         cell = cells[at]
@@ -370,7 +440,6 @@ def _covers(
         plain = cell.removesuffix("%").strip()
         found.append(plain.replace(",", ".") if _NUMBER.fullmatch(plain) else cell)
     numbers = [float(cell) for cell in found if re.fullmatch(r"(\d*\.)?\d+", cell)]
-    unit = heads[at].unit
     shares = unit == "fraction"
     if not shares and unit != "%" and len(numbers) == len(found) > 1:
         decimals = any("." in cell for cell in found)
@@ -431,6 +500,13 @@ def _column_of_lengths(
     faults: _Faults,
 ) -> list[float | None]:
     name, numbers, units = table.names[at], list[float | None](), list[str]()
+    if head.scale is not None and not head.unit:
+        faults.add(
+            table.row,
+            name,
+            f"classes are no {kind}: write the middle of each in m, and (m) for the unit, or begin "
+            "the name of the column with note",
+        )
     for row, cells in rows:
         cell = "" if words_of(cells[at]) in _MISSING else cells[at]
         match = _NUMBER.fullmatch(cell)
@@ -442,7 +518,14 @@ def _column_of_lengths(
         numbers.append(float(match[1].replace(",", ".")) if match else None)
         units.append(unit)
     known = [v for v, own in zip(numbers, units, strict=True) if v is not None and not own]
-    unit = head.unit
+    area, unit = head.role == "area", head.unit
+    if area:
+        if unit not in _AREAS:
+            faults.add(table.row, name, "an area needs its unit: write m2 or cm2 in brackets")
+        unit = unit.removesuffix("2") if unit in _AREAS else "m"
+        said.append(f"The diameter is that of a circle as large as {name!r}.")
+    elif head.role == "radius":
+        said.append(f"The diameter is twice {name!r}.")
     if unit and unit not in METRES:
         faults.add(table.row, name, f"{unit} is no unit of length: write cm or m in brackets")
         unit = "m"
@@ -456,10 +539,34 @@ def _column_of_lengths(
             said.append(
                 f"{name!r} states no unit; up to {max(known):g}, it is taken to be in {unit}."
             )
+    if area:
+        numbers = [None if v is None else math.sqrt(max(v, 0.0) / math.pi) for v in numbers]
+    factor = 2.0 if head.role in ("radius", "area") else 1.0
     return [
-        None if value is None else value * METRES[own or unit]
+        None if value is None else factor * value * METRES[own or unit]
         for value, own in zip(numbers, units, strict=True)
     ]
+
+
+def _doubt_sizes(path: Path, plants: Sequence[PlantOfTable], without_unit: Sequence[str]) -> None:
+    """Warn of sizes without a unit that their growth forms do not have."""
+    for kind, column, factor in (
+        ("height", "height_max_m", 1.0), ("diameter", "mean_diameter_cm", 0.01)
+    ):  # fmt: skip
+        odd = []
+        for plant in plants if kind in without_unit else ():
+            usual = getattr(FORMS[plant.record.growth_form], kind)
+            size = factor * float(plant.cells[column])
+            if column not in plant.assumed and not 1 / _SMALLER < size / usual < _LARGER:
+                odd.append(f"{plant.cells['taxon']} {size:g} m, for a usual {usual:g} m")
+        if odd:
+            more = f" and {len(odd) - 3} more" if len(odd) > 3 else ""
+            warnings.warn(
+                f"{path}: a {kind} of {'; '.join(odd[:3])}{more}. No unit is stated, and m or cm "
+                "taken by the numbers: write it behind the name of the column, as in (cm).",
+                UserWarning,
+                stacklevel=3,
+            )
 
 
 def _form(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
 from rasterio.windows import Window
 from scipy.interpolate import make_interp_spline
 
@@ -18,6 +19,9 @@ from fynjax.scene import COVERS
 
 _TINY = 1e-4
 """Part of a cell by which edges may miss each other and still be the same [-]."""
+
+_MOST_CLASSES = 20
+"""Number below which whole numbers alone are likely to be those of classes."""
 
 Edges = tuple[float, float]
 
@@ -89,12 +93,13 @@ def read_over_plot(
     **Returns:** an `OverPlot`: the cells that cover the plot, in the file's unit.
 
     **Raises:** `InputError` for a raster that cannot be read or placed, does not cover the plot,
-    or has cells without data over it.
+    has cells without data over it, or numbers that stand for colours.
     """
     if not (np.isfinite(size_m).all() and min(size_m) > 0.0):
         raise InputError(f"`size_m` must be positive [m], but is {size_m}")
     with open_raster(path, what) as file:
         file.check_place()
+        _check_palette(file)
         corner = _corner(file, size_m, origin_m, option)
         columns, rows = _edges(file, size_m, corner, option)
         first = (int(rows[0] + _TINY), int(columns[0] + _TINY))
@@ -115,6 +120,19 @@ def read_over_plot(
     edges = (r0 - first[0], r1 - first[0]), (c0 - first[1], c1 - first[1])
     names, units = (tuple(of[n - 1] for n in file.bands) for of in (file.names, file.units))
     return OverPlot(path, values, edges, names, units)
+
+
+def _check_palette(file: RasterFile) -> None:
+    """Refuse numbers of colours, but for those of grey that are as bright as they say."""
+    for band in file.bands:
+        if file.dataset.colorinterp[band - 1] == ColorInterp.palette:
+            colours = file.dataset.colormap(band).items()
+            if any(colour[:3] != (number,) * 3 for number, colour in colours):
+                raise InputError(
+                    f"expected {file.what}, but band {band} has a palette: its numbers are those "
+                    "of classes or colours. Give each class its value first, or if grey is meant: "
+                    f"gdal_translate -expand gray {file.path.name} grey.tif"
+                )
 
 
 def _corner(
@@ -225,8 +243,8 @@ def read_probability_map(
 
     **Raises:** `InputError` for a raster that is missing or cut short, has no coordinate reference
     system, is in degrees or feet, is rotated, has several bands, does not cover the plot; that has
-    cells without data or NaN over the plot, values outside 0-255 or within 0-1, or nothing but 0.
-    Warns where the map has one value all over the plot.
+    cells without data or NaN over the plot, values outside 0-255 or within 0-1, nothing but 0, or
+    a palette. Warns where the map has one value all over the plot, or none above 100.
     """
     path = Path(path)
     part = read_over_plot(path, "a probability map", size_m, origin_m=origin_m, option=option)
@@ -265,6 +283,14 @@ def _check_values(values: NDArray[np.float64], path: Path) -> None:
             f"expected values of 0 to 255, but the largest over the plot is {high:g}. Chances of 0 "
             f"to 1, or a mask? Multiply by 255: gdal_translate -ot Byte -scale 0 1 0 255 "
             f"{path.name} map.tif"
+        )
+    if high <= 100.0 and low < high:
+        whole = high < _MOST_CLASSES and bool((values == np.round(values)).all())
+        warnings.warn(
+            f"{path}: the largest value over the plot is {high:g}, so plants would be kept there "
+            f"with a chance of {high:g}/255. Is the map in {'classes' if whole else 'percent'}? "
+            "Write 0 to 255 for chances of 0 to 1",
+            stacklevel=4,
         )
 
 

@@ -76,7 +76,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     parts = [1, 2] if svc else _target_and_reference(names)
     if column < 0 and not parts:
         raise InputError("the file has no column of reflectance, nor those of target and reference")
-    table = open_table(file, "a spectrum", data=data)
+    table = open_table(file, "a spectrum", data=data, titled=False)
     table.separator, table.skip, table.headed = " ", start, False
     row, cells = next(table.rows(), (0, []))
     if not cells:

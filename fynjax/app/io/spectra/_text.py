@@ -202,7 +202,7 @@ def read_text_spectra(data: bytes, file: Path) -> list[MeasuredSpectrum]:
     **Raises:** `InputError` as `open_table`, for a table without wavelengths, and with row and
     column of what cannot be read.
     """
-    table = open_table(file, "a table of spectra", data=data)
+    table = open_table(file, "a table of spectra", data=data, titled=False)
     header = table.names
     if next(table.rows(), None) is not None:
         layout = layout_of(table)
