@@ -530,7 +530,7 @@ def make_space(
         relative = relative_sd[name]
         stated = own if relative is None else relative * abs(value)
         centre, sd = _fitted_prior(name, record, value, stated)
-        if stated > 0.0 and (centre, sd) != (value, stated):
+        if (centre, sd) != (value, stated):
             shown = [record.shown_factor * number for number in (value, stated, centre, sd)]
             change = "{:g} (sd {:.3g}) to {:g} (sd {:.3g})".format(*shown)
             unit = "" if record.shown_unit == "-" else f" {record.shown_unit}"
