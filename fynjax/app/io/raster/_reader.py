@@ -31,7 +31,7 @@ from rasterio.windows import Window
 from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.progress import track
-from fynjax.app.io.raster._crs import check_metric, is_local, stretch, utm_zone
+from fynjax.app.io.raster._crs import check_lengths, check_metric, is_local, stretch, utm_zone
 from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
 from fynjax.app.io.text import check_fits, stated_number
 
@@ -274,13 +274,9 @@ class RasterFile:
         check_metric(system, height_stated=height_stated)
         self._check_no_degrees(abs(self.dataset.transform.a))
         rows, columns = self.shape
-        longer, zone = stretch(system, *self.dataset.transform @ (0.5 * columns, 0.5 * rows))
-        if longer != 1.0:
-            raise InputError(
-                f"expected coordinates in metres of the ground, but in its system lengths are "
-                f"{longer:.3g} times as long here, as in maps for the web. Warp it first: gdalwarp "
-                f"-t_srs {zone} {self.path.name} metres.tif"
-            )
+        middle = self.dataset.transform @ (0.5 * columns, 0.5 * rows)
+        name = self.path.name.replace("{", "{{").replace("}", "}}")
+        check_lengths(system, *middle, f"Warp it first: gdalwarp -t_srs {{zone}} {name} metres.tif")
         self._check_upright()
         return system
 
