@@ -1,6 +1,7 @@
 """Coordinate reference systems: those whose coordinates are metres to the east and north."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,34 @@ def stretch(crs: CRS, x: float, y: float) -> tuple[float, str]:
     factor = float(np.sqrt(areal))
     zone = utm_zone(longitude, latitude)
     return (factor if abs(factor - 1.0) > 0.01 else 1.0), zone
+
+
+def check_in_area(crs: CRS, x: float, y: float) -> None:
+    """Refuse a place outside the area of its projected system, where in kilometres it is inside.
+
+    **Arguments:** `crs`; `x`, `y`: a place in it.
+
+    **Raises:** `InputError` that says so.
+    """
+    with suppress(pyproj.exceptions.ProjError, pyproj.exceptions.CRSError):
+        code = crs.to_epsg() if crs.is_projected else None
+        if code is None:
+            return
+        system = pyproj.CRS.from_epsg(code)
+        if (area := system.area_of_use) is None:
+            return
+        for factor in (1.0, 1000.0):
+            there = pyproj.Proj(system)(factor * x, factor * y, inverse=True, errcheck=True)
+            degrees = (area.west - 5.0, area.south - 5.0, area.east + 5.0, area.north + 5.0)
+            if degrees[0] < there[0] < degrees[2] and degrees[1] < there[1] < degrees[3]:
+                break
+        else:
+            return
+        if factor != 1.0:
+            raise InputError(
+                f"expected coordinates in metres, but ({x:g}, {y:g}) is outside the area of "
+                f"{system.name}. Are they in kilometres? State it: units = 'km' of x and y"
+            )
 
 
 def check_lengths(crs: CRS, x: float, y: float, remedy: str) -> None:
