@@ -5,6 +5,8 @@ import itertools
 import re
 import string
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +23,8 @@ _GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t](.*)", re.MULTILINE) for kind i
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
+_COMMA = re.compile(r"^[ \t]*v[ \t].*?(\d+,\d+)", re.MULTILINE)
+_CORNER = re.compile(r"(?<![\d/])\d+")
 _BELOW = 0.05
 """Part of a plant's extent that reaches below the ground of its frame without being its height."""
 
@@ -184,7 +188,12 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     """
     import trimesh
 
-    text = _COMMENT.sub(r"\1", Path(file).read_text(encoding="utf-8", errors="replace"))
+    with open(file, "rb") as raw:
+        code = "utf-16" if raw.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    text = _COMMENT.sub(r"\1", Path(file).read_text(code, errors="replace"))
+    if comma := _COMMA.search(text):
+        words = f"expected coordinates with a decimal point, but got {comma[1]}"
+        raise InputError(words, file=file, row=text.count("\n", 0, comma.end()) + 1)
     if zero := _ZERO.search(text):
         row = text.count("\n", 0, zero.end()) + 1
         raise InputError("expected corners counted from 1, but got 0", file=file, row=row)
@@ -193,12 +202,28 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1].strip()]}", text)
     library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
-    with bounded_memory(file):
+    with bounded_memory(file), _beyond(text, file):
         loaded = trimesh.load(
             io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
             resolver={"names": library.encode()},
         )  # fmt: skip
     return loaded, {short: name for name, short in short_name.items()}
+
+
+@contextmanager
+def _beyond(text: str, file: str) -> Iterator[None]:
+    """Have the reader's `IndexError` say which face has a corner beyond the points."""
+    try:
+        yield
+    except IndexError as error:
+        lines = text.splitlines()
+        count = sum(line.split()[:1] == ["v"] for line in lines)
+        for row, line in enumerate(lines, 1):
+            corners = map(int, _CORNER.findall(line)) if line.split()[:1] == ["f"] else ()
+            if (last := max(corners, default=0)) > count:
+                words = f"expected corners among {count} points, but a face has {last}"
+                raise InputError(words, file=file, row=row) from error
+        raise
 
 
 def _materials_of_groups(text: str) -> str:
