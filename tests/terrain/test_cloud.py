@@ -303,7 +303,7 @@ def text(rows, head="", separator=","):
     [
         (
             text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]),
-            "got 'nan'. Not measured.*of a point, the row out",
+            "got 'nan'. Not measured. Leave it, or its row, out",
             4,
         ),
         (text([*GRID[:3], (1, 2, "tree"), *GRID], "x,y,z\n"), "number, but got 'tree'", 5),

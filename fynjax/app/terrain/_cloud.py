@@ -121,7 +121,9 @@ def read_cloud(
     **Raises:** `InputError` for a file that is missing, cut short, of another format, has NaN, is
     in degrees or in another unit than metres that was not stated. Units are known from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
-    relief of twice the plot's width); feet without any of these look like metres.
+    relief of twice the plot's width); feet without any of these look like metres. Refused too are a
+    system in which lengths are not those on the ground (EPSG:3857), and text without names whose
+    first column counts the points. Warns of a northing first, and of points beyond the count.
     Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
     heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
     `MissingExtraError` for LAS without the extra `terrain`, and E57 without the extra `e57`.

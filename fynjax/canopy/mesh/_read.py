@@ -5,8 +5,6 @@ import itertools
 import re
 import string
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +22,6 @@ _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
 _COMMA = re.compile(r"^[ \t]*v[ \t].*?(\d+,\d+)", re.MULTILINE)
-_CORNER = re.compile(r"(?<![\d/])\d+")
 _BELOW = 0.05
 """Part of a plant's extent that reaches below the ground of its frame without being its height."""
 
@@ -150,9 +147,7 @@ def _placed(graph: Any, file: str | None) -> list[tuple[Any, np.ndarray]]:
         way = [node]
         while way[-1] not in frames:
             if way[-1] not in above or len(way) > len(above):
-                words = (
-                    "the mesh cannot be read: a part of its scene stands below itself, or nowhere"
-                )
+                words = "the mesh cannot be read: a part of its scene is below itself, or nowhere"
                 raise InputError(words, file=file)
             way.append(above[way[-1]])
         for upper, lower in itertools.pairwise(reversed(way)):
@@ -188,8 +183,7 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     """
     import trimesh
 
-    with open(file, "rb") as raw:
-        code = "utf-16" if raw.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    code = "utf-16" if Path(file).read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
     text = _COMMENT.sub(r"\1", Path(file).read_text(code, errors="replace"))
     if comma := _COMMA.search(text):
         words = f"expected coordinates with a decimal point, but got {comma[1]}"
@@ -202,28 +196,27 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1].strip()]}", text)
     library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
-    with bounded_memory(file), _beyond(text, file):
-        loaded = trimesh.load(
-            io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
-            resolver={"names": library.encode()},
-        )  # fmt: skip
+    try:
+        with bounded_memory(file):
+            loaded = trimesh.load(
+                io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
+                resolver={"names": library.encode()},
+            )  # fmt: skip
+    except IndexError as error:
+        raise _beyond(text, file) from error
     return loaded, {short: name for name, short in short_name.items()}
 
 
-@contextmanager
-def _beyond(text: str, file: str) -> Iterator[None]:
-    """Have the reader's `IndexError` say which face has a corner beyond the points."""
-    try:
-        yield
-    except IndexError as error:
-        lines = text.splitlines()
-        count = sum(line.split()[:1] == ["v"] for line in lines)
-        for row, line in enumerate(lines, 1):
-            corners = map(int, _CORNER.findall(line)) if line.split()[:1] == ["f"] else ()
-            if (last := max(corners, default=0)) > count:
-                words = f"expected corners among {count} points, but a face has {last}"
-                raise InputError(words, file=file, row=row) from error
-        raise
+def _beyond(text: str, file: str) -> InputError:
+    """The error of the first face that has a corner beyond the points."""
+    rows = [line.split() for line in text.splitlines()]
+    count = sum(row[:1] == ["v"] for row in rows)
+    for at, row in enumerate(rows, 1):
+        corners = re.findall(r"(?<![\d/])\d+", " ".join(row)) if row[:1] == ["f"] else ()
+        if (last := max(map(int, corners), default=0)) > count:
+            words = f"expected corners among {count} points, but a face has {last}"
+            return InputError(words, file=file, row=at)
+    return InputError("the mesh cannot be read: a number of a face is too large", file=file)
 
 
 def _materials_of_groups(text: str) -> str:

@@ -204,11 +204,13 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
 
     **Arguments:** `path`; of an ENVI image the header or the data. NetCDF (as EMIT's are, too) and
     zarr hold a variable `reflectance` and its wavelengths, NetCDF and HDF5 also in a group, as
-    those of AVIRIS-3, AVIRIS-5 and NEON do. EMIT's are swaths, rows and columns as
-    the sensor saw them: `MapWriter` places what is made of them by the file's own lookup table.
+    those of AVIRIS-3, AVIRIS-5 and NEON do; axes and place go by what they say. EMIT's are swaths,
+    rows and columns as the sensor saw them: `MapWriter` places what is made of them by the file's
+    own lookup table.
 
-    **Raises:** `InputError` for what is none of these, as `open_raster`, and for a variable of
-    other than three dimensions.
+    **Raises:** `InputError` for what is none of these, as `open_raster`, for a variable of other
+    than three dimensions, and for coordinates that only in kilometres are in the area of their
+    system. Warns of coordinates of a map without a system.
     """
     path = Path(path)
     check_name(path)
