@@ -100,7 +100,7 @@ _SLIPS = tuple(
         (r"[\d.,]+ *(-|–|—|\.\.+|to|bis) *[\d.,]+ *%?", "A range? Write one number, its middle."),
         (r"[\d.,]+ *(±|\+/?-).*", "Write the number alone, without its error."),
         (r"#[\w/]+[!?]?", "An error of the spreadsheet: mend its formula."),
-        (r"n[./]?[ad]\.?|nan|none|null|-+|\?+|", "Not measured? Leave the cell empty."),
+        (r"n[./]?[ad]\.?|nan|none|null|-+|\?+|", "Not measured? Leave it, or its row, out."),
         (r"[\[(]?([cmnµu]?m|%|°|deg|m2|g)[\])]?", "A row of units? Leave it out."),
         (r"[−–—][\d.,]+", "Write the minus as a hyphen."),
         (r"[\d.,]*[OlI][\d.,OlI]*", "A letter for a digit?"),

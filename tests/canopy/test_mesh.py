@@ -252,6 +252,20 @@ def test_bad_meshes(tmp_path: Path) -> None:
         plant_model_from_mesh(tmp_path / "none.obj", 10)
 
 
+def test_an_obj_names_the_line_of_its_slip_and_may_be_utf_16(tmp_path: Path) -> None:
+    path, points = tmp_path / "a.obj", "v 0 5 0\nv 0.1 5 0\nv 0 5.1 0.2\n"
+    for text, row, said in (
+        (points.replace("0.1 5 0", "0,1 5,0 0,0"), 2, "a decimal point, but got 0,1"),
+        (points + "# v 0\nf 1 2 3\nf 1/9 2/9 4/9\n", 6, "among 3 points, but a face has 4"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=said) as caught:
+            read_plant_mesh(path)
+        assert caught.value.row == row
+    path.write_text(points + "f 1 2 3\n", encoding="utf-16")
+    assert len(read_plant_mesh(path).faces) == 1
+
+
 def test_meshes_of_the_field_have_their_area(shared_data: Path) -> None:
     """Corners counted back from the face, quads behind all vertices, and y upwards."""
     folder = shared_data / "field" / "13_obj-negative-indices-quads-yup-mm"

@@ -7,10 +7,12 @@ import shutil
 
 import netCDF4
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 import xarray as xr
 from affine import Affine
+from rasterio.crs import CRS
 
 from fynjax._core.errors import InputError
 from fynjax.app.compare import read_spectra_sample
@@ -90,13 +92,13 @@ def test_emit_keeps_its_bands_in_a_group(tmp_path, cube):
     path = tmp_path / "emit.nc"
     values = np.moveaxis(cube.values, 0, 2).astype(np.float32)
     dims = ("downtrack", "crosstrack", "bands")
-    xr.Dataset({"reflectance": (dims, np.nan_to_num(values, nan=-9999.0))}).to_netcdf(path)
+    fill = {"_FillValue": np.float32(-9999.0)}
+    xr.Dataset({"reflectance": (dims, values, {}, fill)}).to_netcdf(path)
     bands = {"wavelengths": ("bands", CENTRE), "fwhm": ("bands", np.full(4, 20.0))}
     bands["good_wavelengths"] = ("bands", [1.0, 1.0, 0.0, 1.0])
     xr.Dataset(bands).to_netcdf(path, mode="a", group="sensor_band_parameters")
     found, _, good = whole(path)
     assert good.tolist() == [True, True, False, True]
-    found = np.where(found == -9999.0, np.nan, found)
     assert found == pytest.approx(values, rel=1e-6, nan_ok=True)
 
 
@@ -633,3 +635,145 @@ def test_maps_whose_folder_was_removed_meanwhile_end_in_one_line(tmp_path, cube)
         shutil.rmtree(tmp_path / "work")
         with pytest.raises(InputError, match=r"removed meanwhile: the same command begins anew"):
             writer.write(0, 0, np.ones((1, 3, 6)))
+
+
+WAVES = np.linspace(450.0, 2400.0, 7)
+SPECTRA = np.random.default_rng(3).uniform(0.05, 0.5, (5, 4, 7)).astype(np.float32)
+EAST, NORTH = 262002.0 + 4.0 * np.arange(4), 6220998.0 - 4.0 * np.arange(5)
+PLACE = Affine(4.0, 0.0, 262000.0, 0.0, -4.0, 6221000.0)
+UTM = pyproj.CRS.from_epsg(32734)
+CF = {key: value for key, value in UTM.to_cf().items() if key != "crs_wkt"}
+
+
+def netcdf_cube(path, values=SPECTRA, **changes):
+    """A NetCDF cube over y, x and bands; `changes` of its names, coordinates and attributes."""
+    of = {"dims": ("y", "x", "wavelength"), "x": EAST, "y": NORTH, "unit": {}, "wave": "wavelength"}
+    of |= {"crs": {"crs_wkt": UTM.to_wkt()}, "order": (0, 1, 2), "attrs": {}, **changes}
+    dims, crs = of["dims"], of["crs"]
+    stored = tuple(dims[k] for k in of["order"])
+    data = xr.Dataset({"reflectance": (stored, values.transpose(of["order"]), of["attrs"])})
+    data[dims[0]], data[dims[1]] = (dims[0], of["y"], of["unit"]), (dims[1], of["x"], of["unit"])
+    data[of["wave"]] = dims[2], WAVES, {"units": "nm"}
+    if crs is not None:
+        data["crs"] = (), np.int32(0), crs
+        data["reflectance"].attrs["grid_mapping"] = "crs"
+    data.to_netcdf(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"dims": ("y", "x", "nb")},
+        {"dims": ("y", "x", "spectral"), "wave": "central_wavelength"},
+        {"dims": ("y", "x", "nb"), "order": (2, 0, 1)},
+        {"order": (1, 0, 2)},
+        {"dims": ("lat", "lon", "n"), "order": (1, 2, 0)},
+        {"x": EAST[::-1], "values": SPECTRA[:, ::-1]},
+        {"y": NORTH[::-1], "values": SPECTRA[::-1]},
+        {"crs": CF},
+        {"crs": {"spatial_ref": UTM.to_wkt(), "GeoTransform": "262000 4 0 6221000 0 -4"}},
+        {"crs": {"epsg_code": "EPSG:32734"}},
+        {"x": EAST / 1000.0, "y": NORTH / 1000.0, "unit": {"units": "km"}},
+    ],
+)
+def test_axes_and_place_of_a_netcdf_cube_go_by_what_it_says(tmp_path, changes):
+    with open_blocks(netcdf_cube(tmp_path / "a.nc", **changes)) as blocks:
+        np.testing.assert_array_equal(blocks.read(0, 5), SPECTRA)
+        assert blocks.wavelength == pytest.approx(WAVES)
+        assert blocks.transform.almost_equals(PLACE, 1e-6)
+        assert CRS.from_wkt(blocks.crs).to_epsg() == 32734
+
+
+@pytest.mark.parametrize("crs", [None, {"grid_mapping_name": "latitude_longitude"}])
+def test_longitude_and_latitude_need_no_reference_system(tmp_path, crs):
+    places = {"x": 18.4 + 4e-5 * np.arange(4), "y": -34.1 - 4e-5 * np.arange(5)}
+    path = netcdf_cube(tmp_path / "a.nc", dims=("lat", "lon", "band"), crs=crs, **places)
+    with open_blocks(path) as blocks:
+        assert CRS.from_wkt(blocks.crs).is_geographic
+        assert blocks.transform @ (0.5, 0.5) == pytest.approx((18.4, -34.1), abs=1e-9)
+
+
+def test_places_that_cannot_be_known_are_told(tmp_path):
+    far = netcdf_cube(tmp_path / "a.nc", x=EAST / 1000.0, y=NORTH / 1000.0)
+    with pytest.raises(InputError, match="Are they in kilometres"), open_blocks(far):
+        pass
+    unknown = netcdf_cube(tmp_path / "b.nc", crs=None)
+    with pytest.warns(UserWarning, match="no reference system"), open_blocks(unknown) as blocks:
+        assert blocks.crs is None
+
+
+def test_values_out_of_the_valid_range_are_no_data(tmp_path):
+    values = SPECTRA.copy()
+    values[0, 0, 2], values[1] = 3.0, -5.0
+    limits = {"valid_range": np.array([-0.1, 1.5], np.float32)}
+    with open_blocks(netcdf_cube(tmp_path / "a.nc", values, attrs=limits)) as blocks:
+        missing = np.isnan(blocks.read(0, 5))
+    assert np.argwhere(missing).tolist() == np.argwhere((values > 1.5) | (values < 0)).tolist()
+    whole = np.rint(1e4 * values).astype(np.int16)
+    limits = {"scale_factor": 1e-4, "valid_min": np.int16(-1000), "valid_max": np.int16(15000)}
+    with open_blocks(netcdf_cube(tmp_path / "b.nc", whole, attrs=limits)) as blocks:
+        np.testing.assert_array_equal(np.isnan(blocks.read(0, 5)), missing)
+
+
+def geotiff(path, values, kind="float32", tags=(), of_file=(), names=()):
+    size = {"height": 5, "width": 4, "count": values.shape[2], "dtype": kind, "crs": "EPSG:32734"}
+    with rasterio.open(path, "w", driver="GTiff", transform=PLACE, **size) as file:
+        file.write(np.moveaxis(values, 2, 0).astype(kind))
+        file.descriptions = names or file.descriptions
+        file.update_tags(**dict(of_file))
+        for n, of in enumerate(tags, 1):
+            file.update_tags(n, **of)
+    return path
+
+
+@pytest.mark.parametrize("mark", [-9999.0, -50.0, -1.0])
+@pytest.mark.parametrize("kind", ["tif", "nc"])
+def test_one_negative_number_in_all_bands_is_missing_data(tmp_path, kind, mark):
+    values = SPECTRA.copy()
+    values[:, 0] = mark
+    path = tmp_path / f"a.{kind}"
+    geotiff(path, values) if kind == "tif" else netcdf_cube(path, values)
+    with open_blocks(path) as blocks:
+        with pytest.warns(UserWarning, match=f"{mark:g} in all bands"):
+            found = blocks.read(0, 5)
+        with pytest.warns(UserWarning, match="which the file does not declare"):
+            assert blocks.scale() == 1.0
+    assert np.isnan(found[:, 0]).all()
+    np.testing.assert_array_equal(found[:, 1:], values[:, 1:])
+
+
+def test_numbers_that_are_no_reflectance_are_refused(tmp_path):
+    values = SPECTRA.copy()
+    values[:, 0, 3] = -9999.0
+    with (
+        open_blocks(geotiff(tmp_path / "a.tif", values)) as blocks,
+        pytest.raises(InputError, match=r"got -9999.*does not declare"),
+    ):
+        blocks.scale()
+    path = netcdf_cube(tmp_path / "a.nc", -SPECTRA)
+    with open_blocks(path) as blocks, pytest.raises(InputError, match="a scale below 0"):
+        blocks.scale()
+    for path in (
+        geotiff(tmp_path / "b.tif", 255.0 * (SPECTRA + 0.5), "uint8"),
+        netcdf_cube(tmp_path / "b.nc", (255.0 * (SPECTRA + 0.5)).astype(np.uint8)),
+    ):
+        with open_blocks(path) as blocks, pytest.raises(InputError, match="in 8 bits"):
+            blocks.scale()
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        {"names": [f"{w:g} nm" for w in WAVES]},
+        {"names": [f"{w / 1000.0:.6f} Micrometers" for w in WAVES]},
+        {"names": [f"Band {k} ({w:.1f} nm)" for k, w in enumerate(WAVES)]},
+        {"names": [f"{w:g}" for w in WAVES]},
+        {"of_file": {"wavelength": "{" + ", ".join(f"{w:g}" for w in WAVES) + "}"}},
+        {"of_file": {f"Band_{k}": f"{w:.1f} Nanometers" for k, w in enumerate(WAVES, 1)}},
+    ],
+)
+def test_wavelengths_in_names_and_tags_of_a_geotiff(tmp_path, texts):
+    with open_blocks(geotiff(tmp_path / "a.tif", SPECTRA, **texts)) as blocks:
+        assert blocks.wavelength == pytest.approx(WAVES, abs=0.01)

@@ -109,6 +109,7 @@ def test_a_calibration_that_shows_other_ground_is_refused(tmp_path: Path) -> Non
         (lambda t: t.replace("SensorGainAdj", "Adj"), "'SensorGainAdjustment'"),
         (lambda t: t.replace('ExposureTime="732"', 'ExposureTime="0"'), "a positive exposure"),
         (lambda t: t.replace('Current="3200"', 'Current="65000"'), "black level, below the counts"),
+        (lambda t: t.replace('Current="3200"', 'Current="3,2"'), "one black level, but got 3, 2"),
         (lambda t: t.replace("2026-01-01;135.0,", "2026-01-01;"), "nine numbers as 'DewarpData'"),
         (lambda t: t.replace("2.1e-04", "x").replace("0.00021", "x"), "6 numbers as 'Vignetting"),
         (lambda t: t.replace("CalibratedOpticalCenterY", "Y"), "'CalibratedOpticalCenterY'"),

@@ -58,6 +58,9 @@ def test_an_irradiance_that_is_level_is_preferred(tmp_path: Path) -> None:
         ({"change": lambda t: t[:-9]}, r"\(XMP\) cannot be read"),
         ({"change": lambda t: "<!DOCTYPE a>" + t}, "must not define entities"),
         ({"exif": False}, "EXIF metadata with 'ExposureTime'"),
+        ({"change": lambda t: t.replace("0.00015", "-0.00015")}, "number above 0 as 'Radiometric"),
+        ({"change": lambda t: t.replace("0.00015", "0")}, "number above 0 as 'Radiometric"),
+        ({"change": lambda t: t.replace('"475"', '"0.475"')}, r"Micrometres\? In nm this is 475"),
     ],
 )
 def test_metadata_that_miss_something(tmp_path: Path, options: dict, message: str) -> None:

@@ -79,7 +79,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
             text = text.replace(old, new)
         for name, table in tables.items():
             (tmp_path / f"{name}.csv").write_text(table)
-        (tmp_path / "own.toml").write_text(text)
+        (tmp_path / "own.toml").write_text(text, encoding="utf-8")
         return tmp_path / "own.toml"
 
     return writer
@@ -243,6 +243,31 @@ def test_errors_in_a_table_of_bands(
     assert row is None or caught.value.row == row
 
 
+def test_curves_in_a_column_a_band_and_noise_below_zero(write: Callable) -> None:
+    old, _ = with_table("x")
+    new = 'response = "tabulated"\ncurves = "curves.csv"\n\n'
+    wide = "Wavelength (nm),green,red\n540,0,\n550,1,0\n560,-0.01,1\n570,,0\n"
+    rows = "green,540,0\ngreen,550,1\ngreen,560,0\nred,550,0\nred,560,1\nred,570,0\n"
+    one, other = (
+        load_sensor(write((old, new), *no_noise(), curves=table)) for table in (wide, CURVES + rows)
+    )
+    assert one.bands.names == other.bands.names == ("green", "red")
+    np.testing.assert_array_equal(one.bands.centre, [550.0, 560.0])
+    np.testing.assert_array_equal(one.bands.fwhm, other.bands.fwhm)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"own"', "“own”", "line 1.*Curly quotation marks"),
+        ("altitude_m = 60", "altitude_m = 60,5", r"line 6.*A decimal comma\? Write 60\.5"),
+    ],
+)
+def test_slips_of_whoever_writes_toml(write: Callable, old: str, new: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load_sensor(write((old, new)))
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -253,6 +278,10 @@ def test_errors_in_a_table_of_bands(
         (CURVES + "a,0.5,0\na,0.51,1\n", "Micrometres"),
         (CURVES + "a,500,0\na,510,0\n", "own.toml.*positive"),
         (CURVES + "a,600,1\na,610,1\nb,500,1\nb,510,1\n", "own.toml.*descending"),
+        (CURVES + "".join(f"a,{w},1\n" for w in (500, 505, 510, 515, 700)), "row 6.*stray"),
+        ("wavelength,a,a\n500,0,0\n510,1,1\n", "row 1.*one name for each band"),
+        ("wavelength,a,b\n500,0,0\n510,x,1\n", "row 3.*number, but got 'x'"),
+        ("wavelength,a,b\n0.5,0,0\n0.51,1,1\n", "Micrometres"),
     ],
 )
 def test_errors_in_a_table_of_curves(write: Callable, table: str, message: str) -> None:

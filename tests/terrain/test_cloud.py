@@ -2,6 +2,7 @@
 
 import struct
 import sys
+import warnings
 from contextlib import nullcontext
 
 import laspy
@@ -79,15 +80,24 @@ def key_directory(keys):
     """A GeoKeyDirectoryTag as GeoTIFF 1.1 lays it out: version, then (key, 0, 1, value)."""
     record = laspy.vlrs.known.GeoKeyDirectoryVlr()
     values = [1, 1, 0, len(keys)]
+    doubles, texts = b"", b""
     for key, value in keys.items():
-        values += [key, 0, 1, value]
+        if isinstance(value, float):
+            values += [key, 34736, 1, len(doubles) // 8]
+            doubles += struct.pack("<d", value)
+        elif isinstance(value, str):
+            values += [key, 34737, len(value), len(texts)]
+            texts += value.encode()
+        else:
+            values += [key, 0, 1, value]
     record.parse_record_data(struct.pack(f"<{len(values)}H", *values))
-    return record
+    others = [(34736, doubles), (34737, texts + b"\0")]
+    return [record, *(laspy.VLR("LASF_Projection", tag, "", data) for tag, data in others)]
 
 
 def las_with_keys(path, keys):
     las, path = write_las(path, version="1.2", point_format=0)
-    las.header.vlrs.append(key_directory(keys))
+    las.header.vlrs.extend(key_directory(keys))
     las.write(path)
     return path
 
@@ -104,6 +114,12 @@ def test_crs_of_geotiff_keys(tmp_path):
         ({3072: 2227}, "us_survey_foot"),  # NAD83 / California zone 3 (ftUS)
         ({3072: 32767, 3076: 9002}, "coordinates in metres, but the file says foot"),
         ({3072: 32734, 4099: 9003}, "heights in metres, but the file says us_survey_foot"),
+        ({3072: 26910, 4096: 6360}, "heights in metres, but the file says us_survey_foot"),
+        ({3072: 32767, 3076: 32767, 3077: 0.3048}, "coordinates in metres, but .* says foot"),
+        ({3072: 32767, 3076: 9005}, "the file says units of 0.304797 m"),
+        ({3072: 32767, 1026: "California zone 3 (ftUS)|"}, "coordinates .* us_survey_foot"),
+        ({3072: 26910, 1026: "UTM 10N + NAVD88 (ftUS)|"}, "heights .* us_survey_foot"),
+        ({3072: 3857}, r"lengths are 1\.\d+ times as long .* to EPSG:326"),
     ],
 )
 def test_degrees_and_feet_that_the_file_states(tmp_path, keys, said):
@@ -128,6 +144,40 @@ def test_vertical_feet_of_a_compound_system(tmp_path):
     wkt = CRS.from_user_input("EPSG:32734+6360").to_wkt()  # NAVD88 height (ftUS)
     with pytest.raises(InputError, match=r"heights in metres.*us_survey_foot"):
         read_cloud(written(tmp_path / "a.las", wkt=wkt))
+
+
+@pytest.mark.parametrize(("version", "kind"), [("1.2", 0), ("1.4", 6)])
+def test_points_beyond_the_count_of_the_header_are_told(tmp_path, version, kind):
+    path = written(tmp_path / "a.las", version=version, point_format=kind)
+    held = bytearray(path.read_bytes())
+    with warnings.catch_warnings(action="error"):
+        assert len(read_cloud(path)) == 400
+    if version == "1.4":
+        struct.pack_into("<Q", held, 247, 350)
+    else:
+        struct.pack_into("<I", held, 107, 350)
+    path.write_bytes(held)
+    with pytest.warns(UserWarning, match="header counts 350 points, but the file has room for 400"):
+        assert len(read_cloud(path)) == 350
+
+
+def test_columns_without_names_that_are_no_x_and_y(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(text([(k, *row) for k, row in enumerate(POINTS.tolist())]))
+    with pytest.raises(InputError, match="the first counts the points from 0 to 399"):
+        read_cloud(path)
+    path.write_text(text(POINTS[:, [1, 0, 2]].tolist()))
+    with pytest.warns(UserWarning, match="Northing first"):
+        read_cloud(path)
+
+
+def test_properties_of_ply_in_capitals(tmp_path):
+    path = tmp_path / "a.ply"
+    names = "".join(f"property float {axis}\n" for axis in "XYZ")
+    head = f"ply\nformat ascii 1.0\nelement vertex 3\n{names}end_header\n"
+    path.write_text(head + "0 0 1\n5 0 1\n0 5 1\n")
+    with pytest.raises(InputError, match=r"no property 'x'\).*in small letters"):
+        read_cloud(path)
 
 
 def test_geocentric_coordinates(tmp_path):
@@ -251,7 +301,11 @@ def text(rows, head="", separator=","):
 @pytest.mark.parametrize(
     ("content", "said", "row"),
     [
-        (text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]), "expected a number, but got 'nan'", 4),
+        (
+            text([*GRID[:3], (1, 2, "nan"), *GRID[3:]]),
+            "got 'nan'. Not measured. Leave it, or its row, out",
+            4,
+        ),
         (text([*GRID[:3], (1, 2, "tree"), *GRID], "x,y,z\n"), "number, but got 'tree'", 5),
         (text([*GRID[:3], (1, 2), *GRID]), "expected 3 cells .* has 2: '1,2'", 4),
         (text([*GRID[:3], (1, 2, ""), *GRID]), "column 'z': expected a number, but got ''", 4),

@@ -174,7 +174,7 @@ def read_drone_image(
         scaled = any(file.dataset.scales[n - 1] != 1.0 for n in numbers)
         kind = None if scaled else np.result_type(*(file.dataset.dtypes[n - 1] for n in numbers))
         shape = file.shape
-    values, valid = image.values, image.mask
+    values, valid = image.values, image.mask & ~_holes(image.values, path)
     saturated = valid & image.full
     if saturation is not None:
         with np.errstate(invalid="ignore"):
@@ -210,6 +210,22 @@ def read_drone_image(
         saturated=int(saturated.sum()),
         not_positive=int((values[:, used] <= 0.0).any(axis=0).sum()),
     )
+
+
+def _holes(values: Float[np.ndarray, "band y x"], path: Path) -> Bool[np.ndarray, "y x"]:
+    """Pixels that are 0 in a band although another has half its median at least: no shadow, but a
+    band that the mosaic has not there."""
+    with np.errstate(invalid="ignore"), warnings.catch_warnings(action="ignore"):
+        half = 0.5 * np.nanmedian(np.where(values == 0.0, np.nan, values), axis=(1, 2))
+        lit = (values >= half[:, None, None]) & (values > 0.0)
+        holes = (values == 0.0).any(axis=0) & lit.any(axis=0)
+    if holes.any():
+        warnings.warn(
+            f"{path}: {int(holes.sum())} pixels are 0 in one band and bright in another: taken for "
+            "a hole of that band, they are without data",
+            stacklevel=4,
+        )
+    return np.asarray(holes)
 
 
 def shared_bands(

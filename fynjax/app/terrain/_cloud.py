@@ -4,11 +4,13 @@ import logging
 import re
 import struct
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import pyproj
 from jaxtyping import Float64, UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
@@ -16,7 +18,7 @@ from rasterio.crs import CRS
 from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.tables import name_and_unit, open_points, places_of
-from fynjax.app.io.raster import check_metric, parse_crs
+from fynjax.app.io.raster import UNITS, check_lengths, check_metric, parse_crs, unit_of_length
 from fynjax.app.io.text import check_fits, check_stated_size, existing_file
 from fynjax.app.terrain._units import (
     Bounds,
@@ -119,7 +121,9 @@ def read_cloud(
     **Raises:** `InputError` for a file that is missing, cut short, of another format, has NaN, is
     in degrees or in another unit than metres that was not stated. Units are known from the
     reference system, the header, and numbers that cannot be metres of a plot (a point in 25 m2,
-    relief of twice the plot's width); feet without any of these look like metres.
+    relief of twice the plot's width); feet without any of these look like metres. Refused too are a
+    system in which lengths are not those on the ground (EPSG:3857), and text without names whose
+    first column counts the points. Warns of a northing first, and of points beyond the count.
     Single heights below -500 or above 9000 m are refused; if all are, that is a warning, as are
     heights that begin so sharply from 0.2 to 3 m that low returns seem to be cut away.
     `MissingExtraError` for LAS without the extra `terrain`, and E57 without the extra `e57`.
@@ -149,6 +153,9 @@ def read_cloud(
     if system is not None:
         with in_file(path):
             check_metric(system, unit_stated=unit_stated, height_stated=height_stated)
+            if not unit_stated:
+                middle = float(np.median(cloud.x)), float(np.median(cloud.y))
+                check_lengths(system, *middle, "Reproject it first, such as to {zone}.")
     factor = unit_factor(unit or "metre")
     height_factor = unit_factor(height_unit or unit or "metre")
     if factor != 1.0:
@@ -295,6 +302,8 @@ def _check_las_header(path: Path) -> None:
         head = file.read(375).ljust(375, b"\0")
         minor, (header_size,) = head[25], struct.unpack_from("<H", head, 94)
         start, n_records, kind, size, count = struct.unpack_from("<IIBHI", head, 96)
+        waves = struct.unpack_from("<Q", head, 227)[0] if minor >= 3 else 0
+        first_extended = 0
         if minor >= 4:
             first_extended, n_extended, count = struct.unpack_from("<QIQ", head, 235)
             check_stated_size(
@@ -306,6 +315,14 @@ def _check_las_header(path: Path) -> None:
         check_stated_size(
             path, count * size if packed else start + count * size, f"{count} points", packed=packed
         )
+        end = min((place for place in (first_extended, waves) if place > start), default=held)
+        if not packed and size and (room := (min(end, held) - start) // size) > count:
+            warnings.warn(
+                f"{path}: the header counts {count} points, but the file has room for {room}: "
+                "those beyond the count are not read. Was it not closed when it was written? "
+                "Write it again",
+                stacklevel=4,
+            )
         advice = "Cut a part of it, or thin it, first"
         check_fits(count * (2 * size + _POINT), f"{count} points", advice, path)
         if not packed:
@@ -372,24 +389,79 @@ def _las_crs(header: Any, path: Path, unit_stated: bool, height_stated: bool) ->
     for record in records:
         if type(record).__name__ != "GeoKeyDirectoryVlr":
             continue
-        keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
-        # ProjLinearUnits and VerticalUnits: EPSG 9002 and 9003 are feet.
-        for key, what, stated in (
-            (3076, "coordinates", unit_stated),
-            (4099, "heights", height_stated),
+        keys = _geo_keys(record, records)
+        for what, factor, stated in (
+            ("coordinates", _factor_of_places(keys), unit_stated),
+            ("heights", _factor_of_heights(keys), height_stated),
         ):
-            if keys.get(key) in (9002, 9003) and not stated:
-                name = "foot" if keys[key] == 9002 else "us_survey_foot"
+            if not (stated or abs(factor - 1.0) < 1e-9):
                 raise InputError(
-                    f"expected {what} in metres, but the file says {name}. Reproject to a metric "
-                    "system, or state the unit.",
+                    f"expected {what} in metres, but the file says {unit_of_length(factor)}. "
+                    "Reproject to a metric system, or state the unit.",
                     file=path,
                 )
         # ProjectedCSType and GeographicType; 32767 is "user-defined".
         for code in (keys.get(3072), keys.get(2048)):
-            if code and code != 32767:
+            if code and code != _OWN:
                 return parse_crs(code, path)
     return None
+
+
+_OWN = 32767
+"""Code of what a file defines itself."""
+_FOOT = re.compile(r"(?<![a-z])(us)?[ _]?(survey[ _])?(ft|feet|foot)[ _]?(us?)?(?![a-z])", re.I)
+
+
+def _geo_keys(record: Any, records: list[Any]) -> dict[int, Any]:
+    """What the keys of a GeoKeyDirectory say: codes, numbers and texts by key."""
+    keys: dict[int, Any] = {}
+    for key in record.geo_keys:
+        if key.tiff_tag_location == 0:
+            keys[key.id] = key.value_offset
+        for other in (r for r in records if r.record_id == key.tiff_tag_location):
+            data, start = other.record_data_bytes(), key.value_offset
+            if other.record_id == 34737:
+                keys[key.id] = data[start : start + key.count].decode("latin-1")
+            elif other.record_id == 34736 and len(data) >= 8 * start + 8:
+                keys[key.id] = struct.unpack_from("<d", data, 8 * start)[0]
+    return keys
+
+
+def _factor_of_unit(code: Any) -> float | None:
+    """Metres in a unit of EPSG; None for none that is known."""
+    units = pyproj.database.get_units_map("EPSG", "linear", allow_deprecated=True).values()
+    return next((unit.conv_factor for unit in units if unit.code == str(code)), None)
+
+
+def _factor_of_words(text: Any) -> float | None:
+    """Metres in the unit that the name of a system ends in; None without a word for feet."""
+    found = _FOOT.search(str(text or ""))
+    return found and (UNITS["us_survey_foot" if "u" in found[0].lower() else "foot"])
+
+
+def _factor_of_places(keys: dict[int, Any]) -> float:
+    """Metres in the unit of x and y by GeoTIFF's keys (ProjLinearUnits and its size, or the name of
+    a system that has no code); 1 where they say none."""
+    if keys.get(3076) == _OWN and isinstance(size := keys.get(3077), float) and size > 0.0:
+        return size
+    factor = _factor_of_unit(keys.get(3076))
+    if factor is None and keys.get(3072, _OWN) == _OWN:
+        named = keys.get(3073) or str(keys.get(1026, "")).partition("+")[0]
+        factor = _factor_of_words(named)
+    return factor or 1.0
+
+
+def _factor_of_heights(keys: dict[int, Any]) -> float:
+    """Metres in the unit of z by GeoTIFF's keys (VerticalUnits, the system of heights, names); 1
+    where they say none."""
+    factor = _factor_of_unit(keys.get(4099))
+    if factor is None and keys.get(4096, _OWN) != _OWN:
+        with suppress(pyproj.exceptions.CRSError):
+            factor = pyproj.CRS.from_epsg(keys[4096]).axis_info[-1].unit_conversion_factor
+    if factor is None:
+        named = keys.get(4097) or str(keys.get(1026, "")).partition("+")[2]
+        factor = _factor_of_words(named)
+    return factor or 1.0
 
 
 def _read_ply(path: Path) -> PointCloud:
@@ -400,10 +472,11 @@ def _read_ply(path: Path) -> PointCloud:
         with np.errstate(all="ignore"):  # of numbers that are checked below
             cloud = trimesh.load(str(path), process=False)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"cannot be read as PLY ({reason}). Is it cut short? Copy it again.", file=path
-        ) from error
+        reason, advice = " ".join(str(error).split()), "Is it cut short? Copy it again."
+        if isinstance(error, KeyError) and error.args[0] in ("x", "y", "z"):
+            reason = f"its points have no property {reason}"
+            advice = "Name the coordinates x, y and z in its header, in small letters."
+        raise InputError(f"cannot be read as PLY ({reason}). {advice}", file=path) from error
     points = np.asarray(getattr(cloud, "vertices", np.zeros((0, 3))), np.float64)
     if points.ndim != 2 or len(points) == 0:
         raise InputError("expected a PLY file with points, but it has no vertices", file=path)
@@ -534,4 +607,24 @@ def _read_text(path: Path, unit_stated: bool) -> PointCloud:
         table.names = (*"xyz", *table.names[3:])
     places = _text_columns(table.names, path, table.row, unit_stated)
     x, y, z, *classes = table.columns(list(places.values())).to_numpy().T
+    if not table.headed:
+        _check_order(x, y, path)
     return PointCloud(x, y, z, classes[0].astype(np.uint8) if classes else None)
+
+
+def _check_order(x: NDArray[np.float64], y: NDArray[np.float64], path: Path) -> None:
+    """Doubt columns without names that are not x and y by their numbers: those of points, which
+    count on, are refused; northing and easting of UTM are a warning."""
+    if len(x) > 9 and (np.diff(x) == 1.0).all() and x[0] in (0.0, 1.0):
+        raise InputError(
+            f"expected x, y and z in the first columns, but the first counts the points from "
+            f"{x[0]:g} to {x[-1]:g}. Name the columns in a first line, such as id,x,y,z.",
+            file=path,
+        )
+    east, north = np.median(x), np.median(y)
+    if 1.1e6 < east < 1e7 and 1e5 < north < 9e5:
+        warnings.warn(
+            f"{path}: its columns have no names, and x is taken to be about {east:.0f}, y "
+            f"{north:.0f}. Northing first? Then all is mirrored: name the columns, such as y,x",
+            stacklevel=4,
+        )

@@ -21,6 +21,7 @@ _GROUPS = {kind: re.compile(rf"^[ \t]*{kind}[ \t](.*)", re.MULTILINE) for kind i
 _RELATIVE = re.compile(r"^[ \t]*[flp][ \t].*-\d", re.MULTILINE)
 _COMMENT = re.compile(r"^([ \t]*[vflp][nt]?[ \t][^#\n]*)#.*", re.MULTILINE)
 _ZERO = re.compile(r"^[ \t]*[flp][ \t](?:.*[ \t])?0(?:/|\s|$)", re.MULTILINE)
+_COMMA = re.compile(r"^[ \t]*v[ \t].*?(\d+,\d+)", re.MULTILINE)
 _BELOW = 0.05
 """Part of a plant's extent that reaches below the ground of its frame without being its height."""
 
@@ -146,9 +147,7 @@ def _placed(graph: Any, file: str | None) -> list[tuple[Any, np.ndarray]]:
         way = [node]
         while way[-1] not in frames:
             if way[-1] not in above or len(way) > len(above):
-                words = (
-                    "the mesh cannot be read: a part of its scene stands below itself, or nowhere"
-                )
+                words = "the mesh cannot be read: a part of its scene is below itself, or nowhere"
                 raise InputError(words, file=file)
             way.append(above[way[-1]])
         for upper, lower in itertools.pairwise(reversed(way)):
@@ -184,7 +183,11 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     """
     import trimesh
 
-    text = _COMMENT.sub(r"\1", Path(file).read_text(encoding="utf-8", errors="replace"))
+    code = "utf-16" if Path(file).read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    text = _COMMENT.sub(r"\1", Path(file).read_text(code, errors="replace"))
+    if comma := _COMMA.search(text):
+        words = f"expected coordinates with a decimal point, but got {comma[1]}"
+        raise InputError(words, file=file, row=text.count("\n", 0, comma.end()) + 1)
     if zero := _ZERO.search(text):
         row = text.count("\n", 0, zero.end()) + 1
         raise InputError("expected corners counted from 1, but got 0", file=file, row=row)
@@ -193,12 +196,27 @@ def _load_obj(file: str) -> tuple[Any, dict[str, str]]:
     short_name = {name: f"material{index}" for index, name in enumerate(names)}
     text = _USEMTL.sub(lambda match: f"usemtl {short_name[match[1].strip()]}", text)
     library = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in short_name.values())
-    with bounded_memory(file):
-        loaded = trimesh.load(
-            io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
-            resolver={"names": library.encode()},
-        )  # fmt: skip
+    try:
+        with bounded_memory(file):
+            loaded = trimesh.load(
+                io.BytesIO(f"mtllib names\n{text}".encode()), file_type="obj", process=False,
+                resolver={"names": library.encode()},
+            )  # fmt: skip
+    except IndexError as error:
+        raise _beyond(text, file) from error
     return loaded, {short: name for name, short in short_name.items()}
+
+
+def _beyond(text: str, file: str) -> InputError:
+    """The error of the first face that has a corner beyond the points."""
+    rows = [line.split() for line in text.splitlines()]
+    count = sum(row[:1] == ["v"] for row in rows)
+    for at, row in enumerate(rows, 1):
+        corners = re.findall(r"(?<![\d/])\d+", " ".join(row)) if row[:1] == ["f"] else ()
+        if (last := max(map(int, corners), default=0)) > count:
+            words = f"expected corners among {count} points, but a face has {last}"
+            return InputError(words, file=file, row=at)
+    return InputError("the mesh cannot be read: a number of a face is too large", file=file)
 
 
 def _materials_of_groups(text: str) -> str:

@@ -47,6 +47,9 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         with Image.open(path) as file:
             stored = getattr(file, "tag_v2", {}).get(_BLACK_LEVEL, [])
         black = [float(value) for value in np.ravel(stored)]
+    if len(set(black)) > 1:
+        words = "one black level, but got " + ", ".join(f"{value:g}" for value in black)
+        raise InputError(f"expected {words}. Was a decimal comma written? Use the camera's files")
     known = {
         "black level": black[0] if black else stated.numbers("BlackCurrent", 1)[0],
         "gain": stated.numbers("SensorGain", 1)[0],

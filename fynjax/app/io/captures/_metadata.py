@@ -38,4 +38,11 @@ def read_band(path: str | Path) -> RawBand:
             "the file rewritten by another program?"
         )
     reader = dji_band if {"SensorGain", "BandFreq"} & set(stated.xmp) else micasense_band
-    return reader(path, counts.astype(np.uint16), bits, stated)
+    band = reader(path, counts.astype(np.uint16), bits, stated)
+    if not 200.0 <= band.wavelength <= 2e4:
+        slip = f" Micrometres? In nm this is {1000.0 * band.wavelength:g}."
+        raise InputError(
+            f"expected the centre of band {band.name!r} in nm, but got {band.wavelength:g}."
+            + (slip if 0.2 <= band.wavelength <= 20.0 else "")
+        )
+    return band

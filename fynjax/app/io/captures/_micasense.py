@@ -30,6 +30,11 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
     a centre, or of a RedEdge-P or Altum-PT one of column and row.
     """
     radiometric = stated.numbers("RadiometricCalibration", 3)
+    if not radiometric[0] > 0.0:
+        raise InputError(
+            "expected a first number above 0 as 'RadiometricCalibration', by which counts become "
+            f"radiance, but got {radiometric[0]:g}. Use the camera's own files."
+        )
     exposure, iso = stated.exif("ExposureTime"), stated.exif("ISOSpeed")
     if not (exposure > 0.0 and iso > 0.0):
         raise InputError(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from fynjax._core.errors import InputError, names_file
+from fynjax._core.tables import open_table
+from fynjax._core.validation import checked_rows, columns
 from fynjax.app.io.instruments._lidar_file import load_lidar
 from fynjax.app.io.instruments._sensor_tables import (
     BandRow,
@@ -27,6 +29,8 @@ from fynjax.sensors import (
     shipped_sensors,
 )
 
+_NOISE, _GAP = 0.02, 10.0
+"""Of a response curve: noise as a share of its largest value, and a step over the usual ones."""
 _FEW = 20  # bands of a camera; with more, neighbours of a spectrometer are a width apart
 
 
@@ -101,17 +105,16 @@ def _read_sensor(path: Path) -> Sensor:
             )
         _warn_of_half_widths(path, bands.centre_nm, widths)
     elif bands.curves is not None:
-        tables[bands.curves] = read_rows(bands.curves, CurveRow, "a table of response curves")
-        _check_curve_rows(bands.curves, tables[bands.curves])
+        tables[bands.curves] = _check_curve_rows(bands.curves, _curve_rows(bands.curves))
     if isinstance(noise, RadiometricNoiseTable):
         tables[noise.table] = read_rows(noise.table, NoiseRow, "a table of noise coefficients")
 
-    def columns(table: Path) -> dict[str, list]:
+    def columns_of(table: Path) -> dict[str, list]:
         given = tables[table]
         fields = [f for f in type(given[0][1]).model_fields if getattr(given[0][1], f) is not None]
         return {field: [getattr(row, field) for _, row in given] for field in fields}
 
-    sensor = build_sensor(description.model_dump(exclude_unset=True), columns)
+    sensor = build_sensor(description.model_dump(exclude_unset=True), columns_of)
     if not bands.any_order:
         slip = _order_slip(list(sensor.bands.centre), list(sensor.bands.fwhm), any_order=False)
         if slip is not None:
@@ -163,7 +166,29 @@ def _check_band_rows(path: Path, rows: list, any_order: bool) -> None:
 
 
 @names_file
-def _check_curve_rows(path: Path, rows: list) -> None:
+def _curve_rows(path: Path) -> list[tuple[int, CurveRow]]:
+    """A table of curves: a row a point, or a column of wavelengths and one of each band."""
+    what = "a table of response curves"
+    table = open_table(path, what)
+    first, *names = table.names
+    known = columns(CurveRow)
+    if len(names) < 1 or not first.lower().startswith("wavelength") or known.keys() & set(names):
+        return read_rows(path, CurveRow, what)
+    if len(set(names)) < len(names) or not all(names):
+        words = f"expected one name for each band after {first!r}, but got {', '.join(names)}"
+        raise InputError(words, row=table.row)
+    cells = [
+        (row, {"band": name, "wavelength_nm": wave, "response": table.plain(cell, row, name)})
+        for place, name in enumerate(names)
+        for row, (wave, *others) in table.records()
+        if (cell := others[place])
+    ]
+    return checked_rows(cells, CurveRow, path)
+
+
+@names_file
+def _check_curve_rows(path: Path, rows: list) -> list:
+    """The rows, noise below 0 as 0, after their order and their curves are checked."""
     done: set[str] = set()
     for (_, before), (number, row) in itertools.pairwise(rows):
         if row.band != before.band:
@@ -178,6 +203,32 @@ def _check_curve_rows(path: Path, rows: list) -> None:
             raise InputError(
                 f"expected rising wavelengths within band {row.band!r}, but "
                 f"{row.wavelength_nm:g} nm follows {before.wavelength_nm:g} nm. {slip}",
+                row=number,
+                column="wavelength_nm",
+            )
+    for band, grouped in itertools.groupby(rows, lambda item: item[1].band):
+        _check_curve(band, list(grouped))
+    return [(n, row.model_copy(update={"response": max(row.response, 0.0)})) for n, row in rows]
+
+
+def _check_curve(band: str, rows: list) -> None:
+    """Refuse a curve that is negative by more than noise, or has a point far from all others."""
+    high = max(row.response for _, row in rows)
+    for number, row in rows:
+        if row.response < -_NOISE * max(high, 0.0):
+            raise InputError(
+                f"expected a response of at least 0, or noise of {_NOISE:g} of the band's largest "
+                f"below it, but got {row.response:g}. Set it to 0.",
+                row=number,
+                column="response",
+            )
+    steps = np.diff([row.wavelength_nm for _, row in rows])
+    for step, (_, low), (number, row) in zip(steps, rows, rows[1:]):
+        if step > _GAP * np.median(steps) and max(low.response, row.response) > _NOISE * high:
+            raise InputError(
+                f"expected the curve of band {band!r} in even steps, but none lies between "
+                f"{low.wavelength_nm:g} and {row.wavelength_nm:g} nm, where it is not 0. A stray "
+                "point? Leave it out, or set the response to 0 on both sides.",
                 row=number,
                 column="wavelength_nm",
             )

@@ -68,8 +68,8 @@ class CurveRow(Strict):
     """Name of the band."""
     wavelength_nm: float = in_unit("nm", ge=200, le=15000)
     """Wavelength [nm]."""
-    response: float = in_unit("-", ge=0)
-    """Relative response, of any scale [-]."""
+    response: float = in_unit("-")
+    """Relative response, of any scale; noise below 0, up to 0.02 of a band's largest, is 0 [-]."""
 
 
 class NoiseRow(Strict):

@@ -7,8 +7,10 @@ from ._blocks import MapWriter as MapWriter
 from ._blocks import grid_coordinates as grid_coordinates
 from ._blocks import open_blocks as open_blocks
 from ._crs import UNITS as UNITS
+from ._crs import check_lengths as check_lengths
 from ._crs import check_metric as check_metric
 from ._crs import parse_crs as parse_crs
+from ._crs import unit_of_length as unit_of_length
 from ._crs import utm_zone as utm_zone
 from ._cubes import QUANTITIES as QUANTITIES
 from ._cubes import Cube as Cube

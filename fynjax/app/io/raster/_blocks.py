@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import rasterio
 import rasterio.shutil
 import xarray as xr
@@ -28,8 +29,8 @@ from fynjax._core.errors import InputError, in_file, listed, refusing
 from fynjax._core.extras import require
 from fynjax._core.files import check_name
 from fynjax._core.memory import bounded_memory
-from fynjax.app.io.raster._crs import geotransform, parse_crs
-from fynjax.app.io.raster._groups import read_tree, with_groups
+from fynjax.app.io.raster._crs import check_in_area, geotransform, parse_crs
+from fynjax.app.io.raster._groups import WAVELENGTHS, ordered_axes, read_tree, with_groups
 from fynjax.app.io.raster._lookup import lookup_table
 from fynjax.app.io.raster._netcdf import CONVENTIONS, check_netcdf, with_history
 from fynjax.app.io.raster._reader import RasterFile, open_raster, wherever
@@ -49,6 +50,10 @@ _LEAST_REFLECTANCE = 0.01
 """Least of the brightest values of a reflectance image [-]; below, its scale is another."""
 _DARK = -0.01
 """Below, a value is a mark for missing data: spectrometers' noise about black is smaller."""
+_NO_NOISE = 5.0
+"""A reflectance further below 0 marks missing data; noise in the air's absorption bands is less."""
+_FEW_BANDS = 4
+"""In fewer, one negative number in all of them may be noise."""
 _INNER = 512
 """Side of the tiles of a map [pixels]."""
 
@@ -77,6 +82,8 @@ class CubeBlocks:
     for what is no swath."""
     names: tuple[str, ...] = ()
     """Names of the bands, empty ones where the file has none."""
+    valid: tuple[float, float] = (-math.inf, math.inf)
+    """Least and largest value that is data, as the file says."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -95,6 +102,9 @@ class CubeBlocks:
     def read(self, start: int, rows: int) -> Float[np.ndarray, "row column band"]:
         """Reflectance of `rows` rows from `start` on, as the file scales it [-]; NaN without data.
 
+        Warns where pixels have one negative number in all bands: a mark of missing data that the
+        file does not declare, taken as one.
+
         **Raises:** `InputError` naming the rows where they cannot be read.
         """
         window = Window(0, start, self.shape[1], rows)
@@ -107,13 +117,41 @@ class CubeBlocks:
                 )
                 values = np.moveaxis(raster.values, 0, 2)
                 t = self.transform
-                return values[::-1] if t.is_identity or t.e < 0 else values
+                return self._marked(values[::-1] if t.is_identity or t.e < 0 else values)
             part = self.source.isel({self.source.dims[0]: slice(start, start + rows)})
             # A scale may lead beyond what a float holds.
             with np.errstate(all="ignore"), bounded_memory(self.path):
                 values = np.asarray(part.values, np.float32)
-        values = np.where(np.abs(values) > 1e6, np.nan, values)
-        return np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
+        low, high = self.valid
+        values = np.where((np.abs(values) > 1e6) | (values < low) | (values > high), np.nan, values)
+        values = np.where((values == 0).all(axis=2, keepdims=True), np.nan, values)
+        return self._marked(values)
+
+    def _marked(
+        self, values: Float[np.ndarray, "row column band"]
+    ) -> Float[np.ndarray, "row column band"]:
+        """The values without pixels that have one negative number in all bands."""
+        if values.shape[2] < _FEW_BANDS:
+            return values
+        first = values[..., :1]
+        marked = (first < 0.0) & (values == first).all(axis=2, keepdims=True)
+        if not marked.any():
+            return values
+        warnings.warn(
+            f"{self.path}: pixels with {first[marked][0]:g} in all bands are taken for missing "
+            "data, which the file does not declare",
+            stacklevel=3,
+        )
+        return np.where(marked, np.float32(np.nan), values)
+
+    @property
+    def _eight_bits(self) -> bool:
+        """Whether the file holds whole numbers of 8 bits."""
+        if isinstance(self.source, RasterFile):
+            kinds = self.source.dataset.dtypes
+        else:
+            kinds = [self.source.encoding.get("dtype", self.source.dtype)]
+        return all(np.dtype(kind).kind in "iu" and np.dtype(kind).itemsize == 1 for kind in kinds)
 
     def sample(self) -> Float[np.ndarray, "pixel band"]:
         """Pixels of some four rows, as `read`, whose errors it raises."""
@@ -125,19 +163,34 @@ class CubeBlocks:
         """What values are divided by to become reflectance factors: 1, or 10 000 where a sample of
         the pixels shows that they are ten thousandths.
 
-        **Raises:** `InputError` for values that are neither, such as radiance, and without data.
+        **Raises:** `InputError` for values that are neither, such as radiance or numbers of 8 bits,
+        without data, and for numbers that mark missing data and are not declared.
         """
-        values = self.sample()[:, self.good]
-        values = values[np.isfinite(values) & (values > _DARK)]
-        if not values.size:  # the sampled rows may lie in a border
+        sample = self.sample()[:, self.good]
+        finite = sample[np.isfinite(sample)]
+        values = finite[finite > _DARK]
+        if not finite.size:  # the sampled rows may lie in a border
             return 1.0
-        high = float(np.quantile(values, 0.95))
-        if high < _LEAST_REFLECTANCE:
-            check_reflectance(high, self.path)
-        if high <= _MOST_REFLECTANCE:
-            return 1.0
-        if 100.0 < high <= 1e4 * _MOST_REFLECTANCE:
-            return 1e4
+        high = float(np.quantile(values, 0.95)) if values.size else 0.0
+        scale = 1.0 if high <= _MOST_REFLECTANCE else 1e4
+        lowest = float(finite.min())
+        if values.size < 0.5 * finite.size and lowest >= -_NO_NOISE * scale:
+            raise InputError(
+                "expected reflectance of at least 0, but most values are below, down to "
+                f"{lowest:g}. Does the file state a scale below 0?",
+                file=self.path,
+            )
+        if lowest < -_NO_NOISE * scale:
+            raise InputError(
+                f"expected reflectance of at least 0, but got {lowest:g}. A mark of missing data "
+                f"that the file does not declare? Declare it: gdal_edit.py -a_nodata {lowest:g}, "
+                "'data ignore value' in an ENVI header, _FillValue in NetCDF",
+                file=self.path,
+            )
+        if high < _LEAST_REFLECTANCE or (scale != 1.0 and self._eight_bits):
+            check_reflectance(high, self.path, eight_bits=self._eight_bits)
+        if scale == 1.0 or 100.0 < high <= 1e4 * _MOST_REFLECTANCE:
+            return scale
         raise InputError(
             "expected reflectance, as shares or in ten thousandths, but 5 % of the values are "
             f"above {high:.3g}. Is this radiance, or in percent?",
@@ -151,11 +204,13 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
 
     **Arguments:** `path`; of an ENVI image the header or the data. NetCDF (as EMIT's are, too) and
     zarr hold a variable `reflectance` and its wavelengths, NetCDF and HDF5 also in a group, as
-    those of AVIRIS-3, AVIRIS-5 and NEON do. EMIT's are swaths, rows and columns as
-    the sensor saw them: `MapWriter` places what is made of them by the file's own lookup table.
+    those of AVIRIS-3, AVIRIS-5 and NEON do; axes and place go by what they say. EMIT's are swaths,
+    rows and columns as the sensor saw them: `MapWriter` places what is made of them by the file's
+    own lookup table.
 
-    **Raises:** `InputError` for what is none of these, as `open_raster`, and for a variable of
-    other than three dimensions.
+    **Raises:** `InputError` for what is none of these, as `open_raster`, for a variable of other
+    than three dimensions, and for coordinates that only in kilometres are in the area of their
+    system. Warns of coordinates of a map without a system.
     """
     path = Path(path)
     check_name(path)
@@ -214,8 +269,8 @@ def _with_bands(data: xr.Dataset) -> xr.Dataset:
     return data
 
 
-def _reflectance(data: xr.Dataset) -> xr.DataArray:
-    """The variable `reflectance`, its bands last."""
+def _reflectance(data: xr.Dataset, around: list[xr.Dataset]) -> xr.DataArray:
+    """The variable `reflectance` over y, x and bands."""
     if "reflectance" not in data:
         raise InputError(
             f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}"
@@ -233,9 +288,7 @@ def _reflectance(data: xr.Dataset) -> xr.DataArray:
             "expected reflectance as numbers of three dimensions, but it has "
             f"{dict(values.sizes)} of {values.dtype}"
         )
-    names = ("band", "bands", "wavelength", "wavelengths")
-    spectral = next((d for d in values.dims if d in names), values.dims[0])
-    return values.transpose(*(d for d in values.dims if d != spectral), spectral)
+    return values.transpose(*ordered_axes(values, [data, *around]))
 
 
 def _column(
@@ -268,14 +321,16 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     around: list[xr.Dataset] = []
     if tree is not None:
         data, around = with_groups(path, tree, data, opened)
-    values = _reflectance(data)
+    values = _reflectance(data, around)
     has_location = tree is not None and "/location" in tree.groups
     location = _location(path, data, opened) if has_location else None
-    count, axis = values.shape[2], values.dims[2]
-    named = axis in values.coords and values.coords[axis].dtype.kind in "OSUT"
+    count, spectral = values.shape[2], values.dims[2]
+    named = spectral in values.coords and values.coords[spectral].dtype.kind in "OSUT"
     row = 4.0 * values.shape[1] * count
     check_fits(2.0 * row, f"{values.shape[1]} pixels of a row in {count} bands", "Is it damaged?")
-    wavelength, unit = _column(("wavelength", "wavelengths", "Wavelength"), (data, *around), count)
+    sources = (data, *around)
+    named_so = [str(n) for s in sources for n in s.variables if WAVELENGTHS.fullmatch(str(n))]
+    wavelength, unit = _column(named_so, sources, count)
     width, _ = _column(("fwhm", "FWHM"), (data, *around), count)
     good, _ = _column(("good_wavelengths", "reflectance_good"), (data, *around), count)
     if wavelength is not None:  # some files state by -1 or -9999 that a band has none
@@ -296,10 +351,10 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
     crs, transform = _place(data, values)
     # In memory y rises to the north; a block is as in a file, its first row northernmost. A swath
     # stays as it is: its lookup table counts rows as they are in the file.
-    y = values.dims[0]
-    rising = y in values.coords and values.sizes[y] > 1 and values[y][0] < values[y][-1]
-    if rising and location is None:
-        values = values.isel({y: slice(None, None, -1)})
+    for axis, way in zip(values.dims[:2], (-1.0, 1.0), strict=True):
+        there = location is None and axis in values.coords and values.sizes[axis] > 1
+        if there and way * float(values[axis][-1] - values[axis][0]) < 0.0:
+            values = values.isel({axis: slice(None, None, -1)})
     return CubeBlocks(
         path=path,
         shape=(values.shape[0], values.shape[1]),
@@ -310,8 +365,27 @@ def _cube_of(path: Path, opened: ExitStack) -> CubeBlocks:
         crs=crs,
         source=values,
         location=location,
-        names=tuple(map(str, values.coords[axis].values)) if named else ("",) * count,
+        names=tuple(map(str, values.coords[spectral].values)) if named else ("",) * count,
+        valid=_valid_range(values),
     )
+
+
+def _valid_range(values: xr.DataArray) -> tuple[float, float]:
+    """Least and largest value by CF's attributes, which are of the stored numbers, unless these
+    are whole and the attributes are not."""
+    of = values.attrs
+    both = np.asarray(of.get("valid_range", (of.get("valid_min"), of.get("valid_max"))), object)
+    stored = np.dtype(values.encoding.get("dtype", values.dtype)).kind
+    whole = all(one is None or np.asarray(one).dtype.kind in "iu" for one in both)
+    scaled = stored == "f" or whole
+    scale = float(values.encoding.get("scale_factor", 1.0)) if scaled else 1.0
+    offset = float(values.encoding.get("add_offset", 0.0)) if scaled else 0.0
+    low, high = (
+        bound if one is None else float(one) * scale + offset
+        for one, bound in zip(both, (-math.inf, math.inf), strict=True)
+    )
+    slack = 1e-6 * max((abs(one) for one in (low, high) if math.isfinite(one)), default=0.0)
+    return min(low, high) - slack, max(low, high) + slack
 
 
 def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | None:
@@ -322,21 +396,69 @@ def _location(path: Path, data: xr.Dataset, opened: ExitStack) -> xr.Dataset | N
 
 def _place(data: xr.Dataset, values: xr.DataArray) -> tuple[str | None, Affine]:
     mapping = values.encoding.get("grid_mapping", values.attrs.get("grid_mapping", "crs"))
+    mapping = mapping.partition(":")[0].strip()
     mapping = mapping if mapping in data.variables else "spatial_ref"
-    wkt = data[mapping].attrs.get("crs_wkt") if mapping in data.variables else None
-    if wkt is not None:
-        wkt = parse_crs(str(wkt)).to_wkt()
+    about = data[mapping].attrs if mapping in data.variables else {}
     y, x = values.dims[:2]
+    placed = x in values.coords and y in values.coords
+    wkt = _stated_crs(about)
+    if wkt is None and placed and _in_degrees(values[x], values[y]):
+        wkt = parse_crs(4326).to_wkt()
     if wkt is None:
+        if placed and min(np.abs(values[axis]).max() for axis in (x, y)) > _FAR:
+            warnings.warn(
+                f"{values.encoding.get('source', 'the image')}: {x} and {y} are coordinates of a "
+                "map, but no reference system is stated, so that the image has no place. State it: "
+                "a variable crs with an attribute crs_wkt, named as grid_mapping of reflectance",
+                stacklevel=2,
+            )
         return wkt, Affine.identity()
-    stated = geotransform(data[mapping].attrs.get("GeoTransform"), "GeoTransform")
-    if x not in values.coords or y not in values.coords or stated.b != 0.0 or stated.d != 0.0:
+    stated = geotransform(about.get("GeoTransform"), "GeoTransform")
+    if not placed or stated.b != 0.0 or stated.d != 0.0:
         return wkt, stated
-    xs, ys = np.asarray(values[x], float), np.asarray(values[y], float)
+    crs = CRS.from_wkt(wkt)
+    xs, ys = (_in_units_of(crs, values[axis]) for axis in (x, y))
+    check_in_area(crs, float(xs.mean()), float(ys.mean()))
     steps = [_step(xs, str(x)), _step(ys, str(y))]
     own = values.attrs.get("pixel_m")
     width, height = (own or step or other or 1.0 for step, other in (steps, steps[::-1]))
     return wkt, Affine(width, 0.0, xs.min() - width / 2, 0.0, -height, ys.max() + height / 2)
+
+
+_FAR = 1e5
+"""Coordinates beyond are those of a map, and no plot's own [m]."""
+
+
+def _stated_crs(about: Mapping[str, Any]) -> str | None:
+    """The reference system of a grid mapping as WKT: by its text, its code, or CF's parameters."""
+    for key in ("crs_wkt", "spatial_ref", "epsg_code", "epsg", "EPSG"):
+        if key in about and str(about[key]).strip():
+            text = str(about[key]).strip()
+            return parse_crs(f"EPSG:{text}" if text.isdigit() else text).to_wkt()
+    if "grid_mapping_name" not in about:
+        return None
+    words = "expected a grid mapping as CF states it, but it cannot be read ({error})"
+    with refusing(pyproj.exceptions.CRSError, KeyError, TypeError, ValueError, words=words):
+        system = pyproj.CRS.from_cf(dict(about))
+        return parse_crs(system.to_wkt("WKT2_2019")).to_wkt()
+
+
+def _in_degrees(x: xr.DataArray, y: xr.DataArray) -> bool:
+    """Whether coordinates are longitude and latitude by their names or units."""
+    return all(
+        str(axis.name).lower() in (word, word[:3])
+        or axis.attrs.get("standard_name") == word
+        or str(axis.attrs.get("units", "")).lower().startswith(f"degrees_{way}")
+        for axis, word, way in ((x, "longitude", "east"), (y, "latitude", "north"))
+    )
+
+
+def _in_units_of(crs: CRS, places: xr.DataArray) -> np.ndarray:
+    """Coordinates in the unit of their system: those in kilometres are converted."""
+    unit = str(places.attrs.get("units", "")).strip().lower()
+    thousand = unit in ("km", "kms") or unit.startswith(("kilomet", "1000 m"))
+    factor = 1000.0 / crs.units_factor[1] if thousand and crs.is_projected else 1.0
+    return np.asarray(places, float) * factor
 
 
 def _step(places: np.ndarray, name: str) -> float | None:

@@ -1,6 +1,7 @@
 """Coordinate reference systems: those whose coordinates are metres to the east and north."""
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +57,8 @@ def is_local(crs: CRS) -> bool:
     return not (crs.is_projected or crs.is_geographic)
 
 
-def _unit_name(factor: float) -> str:
-    """Name of a unit of `factor` metres."""
+def unit_of_length(factor: float) -> str:
+    """Name of a unit of `factor` [m]."""
     near = min(UNITS, key=lambda name: abs(UNITS[name] / factor - 1.0))
     return near if abs(UNITS[near] / factor - 1.0) < 1e-7 else f"units of {factor:g} m"
 
@@ -88,29 +89,30 @@ def check_metric(crs: CRS, *, unit_stated: bool | None = None, height_stated: bo
     factor = crs.units_factor[1]
     if abs(factor - 1.0) > 1e-9 and not unit_stated:
         raise InputError(
-            f"expected coordinates in metres, but the file's system is in {_unit_name(factor)}. "
+            "expected coordinates in metres, but the file's system is in "
+            f"{unit_of_length(factor)}. "
             + (remedy if unit_stated is None else f"{remedy[:-1]}, or state the unit.")
         )
     try:
-        axes = [axis.direction for axis in pyproj.CRS.from_wkt(wkt).axis_info]
+        axes = pyproj.CRS.from_wkt(wkt).axis_info
     except pyproj.exceptions.CRSError as error:
         raise InputError(
             f"its coordinate reference system is damaged ({' '.join(str(error).split())}). State "
             "it anew: gdal_edit.py -a_srs EPSG:..."
         ) from error
-    if not is_local(crs) and {"west", "south"} & set(axes):
+    directions = [axis.direction for axis in axes]
+    if not is_local(crs) and {"west", "south"} & set(directions):
         raise InputError(
             "expected a system whose coordinates grow to the east and north, but those of this "
-            f"one grow to the {' and '.join(axes)}. {remedy}"
+            f"one grow to the {' and '.join(directions)}. {remedy}"
         )
-    # Where a compound system states the unit of heights.
-    vertical = re.search(r'VERT(?:_?CS|CRS)\[.*?UNIT\["[^"]*",\s*([0-9.eE+-]+)', wkt, re.DOTALL)
-    factor = float(vertical.group(1)) if vertical else 1.0
-    if abs(factor - 1.0) > 1e-9 and not height_stated:
-        raise InputError(
-            f"expected heights in metres, but the file's system has them in "
-            f"{_unit_name(factor)}. State the height unit ({_unit_name(factor)})."
-        )
+    for axis in axes:  # those of a compound system have heights too
+        factor = axis.unit_conversion_factor
+        if axis.direction in ("up", "down") and abs(factor - 1.0) > 1e-9 and not height_stated:
+            raise InputError(
+                f"expected heights in metres, but the file's system has them in "
+                f"{unit_of_length(factor)}. State the height unit ({unit_of_length(factor)})."
+            )
 
 
 def utm_zone(longitude: float, latitude: float) -> str:
@@ -138,6 +140,50 @@ def stretch(crs: CRS, x: float, y: float) -> tuple[float, str]:
     factor = float(np.sqrt(areal))
     zone = utm_zone(longitude, latitude)
     return (factor if abs(factor - 1.0) > 0.01 else 1.0), zone
+
+
+def check_in_area(crs: CRS, x: float, y: float) -> None:
+    """Refuse a place outside the area of its projected system, where in kilometres it is inside.
+
+    **Arguments:** `crs`; `x`, `y`: a place in it.
+
+    **Raises:** `InputError` that says so.
+    """
+    with suppress(pyproj.exceptions.ProjError, pyproj.exceptions.CRSError):
+        code = crs.to_epsg() if crs.is_projected else None
+        if code is None:
+            return
+        system = pyproj.CRS.from_epsg(code)
+        if (area := system.area_of_use) is None:
+            return
+        for factor in (1.0, 1000.0):
+            there = pyproj.Proj(system)(factor * x, factor * y, inverse=True, errcheck=True)
+            degrees = (area.west - 5.0, area.south - 5.0, area.east + 5.0, area.north + 5.0)
+            if degrees[0] < there[0] < degrees[2] and degrees[1] < there[1] < degrees[3]:
+                break
+        else:
+            return
+        if factor != 1.0:
+            raise InputError(
+                f"expected coordinates in metres, but ({x:g}, {y:g}) is outside the area of "
+                f"{system.name}. Are they in kilometres? State it: units = 'km' of x and y"
+            )
+
+
+def check_lengths(crs: CRS, x: float, y: float, remedy: str) -> None:
+    """Refuse a system in which lengths are not those on the ground.
+
+    **Arguments:** `crs`; `x`, `y`: a place in it; `remedy`: what to do, with "{zone}" for the UTM
+    zone of the place.
+
+    **Raises:** `InputError` for a difference of more than 1 %.
+    """
+    longer, zone = stretch(crs, x, y)
+    if longer != 1.0:
+        raise InputError(
+            f"expected coordinates in metres of the ground, but in its system lengths are "
+            f"{longer:.3g} times as long here, as in maps for the web. {remedy.format(zone=zone)}"
+        )
 
 
 def geotransform(numbers: Any, name: str) -> Affine:

@@ -1,6 +1,7 @@
 """Reflectance that stands in a group of a NetCDF or HDF5 file: AVIRIS-3 and -5, NEON."""
 
 import re
+from collections.abc import Hashable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,9 @@ from fynjax.app.io.raster._crs import parse_crs
 
 _REFLECTANCE = re.compile(r"(surface_|hdr_)?reflectance(_data)?|rfl", re.IGNORECASE)
 """Names of the variable."""
-_OF_BANDS = ("wavelength", "wavelengths", "fwhm", "good_wavelengths", "reflectance_good")
+WAVELENGTHS = re.compile(r"(cent(ral|re|er)_?|band_?)?wave_?lengths?", re.IGNORECASE)
+"""Names of the variable of wavelengths."""
+_OF_BANDS = ("fwhm", "good_wavelengths", "reflectance_good")
 _MOST_GROUPS = 500
 
 
@@ -57,7 +60,11 @@ def read_tree(path: Path) -> Tree:
             (place, name, one) for place, of in groups for name, one in of.variables.items()
         ]
         cubes = [(place, name) for place, name, one in variables if one.ndim == 3]
-        bands = [place for place, name, _ in variables if place and name.lower() in _OF_BANDS]
+        bands = [
+            place
+            for place, name, _ in variables
+            if place and (name.lower() in _OF_BANDS or WAVELENGTHS.fullmatch(name))
+        ]
         texts: dict[str, dict[str, str]] = {}
         for place, name, one in variables:
             if place.endswith("/Coordinate_System"):
@@ -112,7 +119,6 @@ def with_groups(
             "_FillValue", np.array(values.attrs["Data_Ignore_Value"]).astype(values.dtype).item()
         )
     own = xr.decode_cf(raw.rename({name: "reflectance"}), decode_times=False)
-    own = _bands_named(own, around)
     above = {
         key: root[key]
         for key in root.variables
@@ -136,20 +142,35 @@ def with_groups(
 _SPECTRAL = ("band", "bands", "wavelength", "wavelengths")
 
 
-def _bands_named(data: xr.Dataset, around: list[xr.Dataset]) -> xr.Dataset:
-    """The dataset with the dimension of `reflectance` that is as long as there are wavelengths
-    called "band", where none says so; the last of several."""
-    dims = data["reflectance"].dims
-    if any(d in _SPECTRAL for d in dims):
-        return data
-    counts = {
-        one[name].size
-        for one in (data, *around)
-        for name in one.variables
-        if str(name).lower() in ("wavelength", "wavelengths")
-    }
-    spectral = [d for d in dims if data.sizes[d] in counts]
-    return data.rename_dims({spectral[-1]: "band"}) if spectral else data
+_X = re.compile(
+    r"x(c|_dim)?|lon(gitude)?|east(ing)?|col(umn)?s?|samples?|crosstrack", re.IGNORECASE
+)
+_Y = re.compile(r"y(c|_dim)?|lat(itude)?|north(ing)?|rows?|lines?|downtrack", re.IGNORECASE)
+
+
+def ordered_axes(values: xr.DataArray, sources: list[xr.Dataset]) -> tuple[Hashable, ...]:
+    """Dimensions of a cube: of rows (y), of columns (x), and of bands.
+
+    That of bands is called so; or it is the wavelengths' own, or as long as they are, the last of
+    several; or the only one that is not of places; or the first. x and y go by their names, and
+    are as they stand where these say nothing.
+    """
+    waves = [s[n] for s in sources for n in s.variables if WAVELENGTHS.fullmatch(str(n))]
+    others = [d for d in values.dims if not (_X.fullmatch(str(d)) or _Y.fullmatch(str(d)))]
+    spectral = next(
+        found[-1]
+        for found in (
+            [d for d in values.dims if d in _SPECTRAL],
+            [d for d in values.dims if any(wave.dims == (d,) for wave in waves)],
+            [d for d in values.dims if values.sizes[d] in {wave.size for wave in waves}],
+            others if len(others) == 1 else [],
+            values.dims[:1],
+        )
+        if found
+    )
+    first, second = (d for d in values.dims if d != spectral)
+    swapped = _X.fullmatch(str(first)) and _Y.fullmatch(str(second))
+    return (second, first, spectral) if swapped else (first, second, spectral)
 
 
 def _neon_place(words: dict[str, str]) -> xr.DataArray | None:

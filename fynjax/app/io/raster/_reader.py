@@ -31,7 +31,7 @@ from rasterio.windows import Window
 from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.progress import track
-from fynjax.app.io.raster._crs import check_metric, is_local, stretch, utm_zone
+from fynjax.app.io.raster._crs import check_lengths, check_metric, is_local, stretch, utm_zone
 from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
 from fynjax.app.io.text import check_fits, stated_number
 
@@ -54,6 +54,10 @@ _SMALLEST = 5e-4
 """Side of the smallest pixel that a raster has [m]: 30 m of the ground are 2.8e-4 degrees."""
 _IN_NAME = re.compile(r"(?<!\d)([3-9]\d\d|10\d\d)(\.\d+)?(?!\d)")
 """Wavelength [nm] in the name of a band of a camera."""
+_WITH_UNIT = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(nm|nanomet(?:er|re)s?|[uµμ]m|micro(?:n|met(?:er|re))s?)\b", re.IGNORECASE
+)
+"""Wavelength and its unit in the name of a band."""
 _BLOCK = 1 << 24
 """Values read at once, where a raster is read by blocks of rows."""
 
@@ -132,16 +136,38 @@ class RasterFile:
                 )
                 unit = "um"
             if np.isnan(stated).all():
-                found = [_IN_NAME.findall(name) for name in self.names]
-                if all(len(found[n - 1]) == 1 for n in self.bands):
-                    stated = np.array([float("".join(one[0])) if one else np.nan for one in found])
-                unit = "nm"
+                stated, unit = self._in_texts()
         if np.isnan(stated).all():
             return stated, np.full(count, np.nan)
         with in_file(self.header_path):
             centre, factor = in_nanometres(stated, unit)
             check_widths(width * factor)
         return centre, width * factor
+
+    def _in_texts(self) -> tuple[NDArray[np.float64], str]:
+        """Wavelength of each band by a list among the file's tags, by tags such as "Band_1", or by
+        the names of the bands, and the unit; NaN where none of them has one for every band."""
+        count, tags = self.dataset.count, {key.lower(): text for key, text in self.tags.items()}
+        for key in ("wavelength", "wavelengths"):
+            parts = re.split(r"[\s,;]+", tags.get(key, "").strip("{}[]() \n"))
+            listed = np.array([_positive(part) for part in parts])
+            if len(parts) == count and np.isfinite(listed).all():
+                return listed, tags.get("wavelength_units", tags.get("wavelength units", ""))
+        of_bands = [tags.get(f"band_{n}", "") for n in range(1, count + 1)]
+        for texts in (self.names, of_bands):
+            found = [_WITH_UNIT.findall(text) for text in texts]
+            units = {one[0][1][0].lower() == "n" for one in found if len(one) == 1}
+            if all(len(found[n - 1]) == 1 for n in self.bands) and len(units) == 1:
+                stated = np.array([float(one[0][0]) if one else np.nan for one in found])
+                return stated, "nm" if units == {True} else "um"
+        plain = [_positive(name) for name in self.names]
+        if len(self.bands) > 1 and all(350.0 <= plain[n - 1] <= 2600.0 for n in self.bands):
+            return np.array(plain), "nm"
+        found = [_IN_NAME.findall(name) for name in self.names]
+        if all(len(found[n - 1]) == 1 for n in self.bands):
+            stated = np.array([float("".join(one[0])) if one else np.nan for one in found])
+            return stated, "nm"
+        return np.full(count, np.nan), "nm"
 
     @property
     def wavelengths(self) -> Float[np.ndarray, " band"]:
@@ -274,13 +300,14 @@ class RasterFile:
         check_metric(system, height_stated=height_stated)
         self._check_no_degrees(abs(self.dataset.transform.a))
         rows, columns = self.shape
-        longer, zone = stretch(system, *self.dataset.transform @ (0.5 * columns, 0.5 * rows))
-        if longer != 1.0:
-            raise InputError(
-                f"expected coordinates in metres of the ground, but in its system lengths are "
-                f"{longer:.3g} times as long here, as in maps for the web. Warp it first: gdalwarp "
-                f"-t_srs {zone} {self.path.name} metres.tif"
-            )
+        middle = self.dataset.transform @ (0.5 * columns, 0.5 * rows)
+        name = self.path.name.replace("{", "{{").replace("}", "}}")
+        check_lengths(
+            system,
+            middle[0],
+            middle[1],
+            f"Warp it first: gdalwarp -t_srs {{zone}} {name} metres.tif",
+        )
         self._check_upright()
         return system
 

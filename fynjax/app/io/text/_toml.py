@@ -82,6 +82,11 @@ def read_toml(path: Path, model: type[Model], *, within: Path | None = None) -> 
         if "digits" in reason:  # of Python's, with advice to programmers
             reason = "a number has thousands of digits"
         hint = " Write paths with / or in single quotes." if "escape" in reason else ""
+        line = text.splitlines()[int(at[1]) - 1] if at else ""
+        if re.search("[“”„‘’]", line):
+            hint = ' Curly quotation marks? Write straight ones: ".'
+        elif comma := re.search(r"=\s*[-+]?(\d+),(\d+)\s*(#|$)", line):
+            hint = f" A decimal comma? Write {comma[1]}.{comma[2]}."
         raise InputError(
             f"expected TOML, but: {reason}.{hint}",
             file=path,
