@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError, in_file, names_file
+from fynjax._core.tables import as_utf8
 from fynjax.app.io.spectra._asd import is_asd, read_asd
 from fynjax.app.io.spectra._envi import read_envi_library
 from fynjax.app.io.spectra._field import read_field_spectrum
+from fynjax.app.io.spectra._names import SUFFIXES, another, as_transmittance
 from fynjax.app.io.spectra._record import MeasuredSpectrum, check_spectrum
-from fynjax.app.io.spectra._small import read_small_spectrometer, read_usgs
+from fynjax.app.io.spectra._small import read_jcamp, read_small_spectrometer, read_usgs
 from fynjax.app.io.spectra._text import read_text_spectra
 from fynjax.app.io.text import existing_file, read_bytes
 
@@ -83,9 +85,7 @@ def read_usable_spectra(
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
     elif _is_text(data) or data[:4] == b"PK\3\4":  # an Excel workbook
-        readers = (read_field_spectrum, read_usgs, read_small_spectrometer)
-        alone = next((one for read in readers if (one := read(data, path)) is not None), None)
-        spectra = read_text_spectra(data, path) if alone is None else [alone]
+        spectra = _of_quantity(_text_spectra(data, path), suffixes)
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text"
@@ -98,6 +98,30 @@ def read_usable_spectra(
         except InputError as error:
             refused.append((spectrum.name, error))
     return usable, refused
+
+
+def _text_spectra(data: bytes, path: Path) -> list[MeasuredSpectrum]:
+    """Spectra of a file of text, whose letters are decoded once for all its readers."""
+    if data[:4] != b"PK\3\4":
+        data = as_utf8(data, path)
+        for read in (read_field_spectrum, read_usgs, read_small_spectrometer, read_jcamp):
+            if (alone := read(data, path)) is not None:
+                return [alone]
+    return read_text_spectra(data, path)
+
+
+def _of_quantity(spectra: list[MeasuredSpectrum], suffixes: list[str]) -> list[MeasuredSpectrum]:
+    """The spectra as of the quantity that the file's ending states, such as `.trm`.
+
+    **Raises:** `InputError` for an ending of another quantity, such as `.irr`.
+    """
+    for suffix in set(suffixes) & set(SUFFIXES):
+        if SUFFIXES[suffix] != "transmittance":
+            raise another(SUFFIXES[suffix], f"the file ends in {suffix}")
+        spectra = [
+            one if one.transmittance is not None else as_transmittance(one) for one in spectra
+        ]
+    return spectra
 
 
 def _is_text(data: bytes) -> bool:
