@@ -66,7 +66,7 @@ _RADIANT = re.compile(r"[LE] (target|tgt|down\w*|up\w*|sky|sun|panel|ref\w*|whit
 """Radiance and irradiance by their signs."""
 _STATED = r"(?P<{}>trans(mission|mittance)|refle(ction|ctance|xion|xão)|{})"
 _STATEMENT = re.compile(
-    rf"\W*{_STATED.format('start', _LONG_WORDS)}\W*($|(of|data|spectr\w+)\b)"
+    rf"\W*{_STATED.format('start', _LONG_WORDS)}\W*($|(of|data|spectr\w+)\b.*)"
     rf"|.*?\b{_STATED.format('end', _LONG_WORDS)}( data| spectr\w+| mode)?\W*(\([^)]*\)\W*|%\W*)?$",
     re.I,
 )

@@ -165,8 +165,9 @@ def _paired(
         stated[label] = words, scale
     doubtful = unsure(names.values())
     if not any(words for words, _ in stated.values()):
-        binary = any(name.endswith(".asd") for name in columns)  # which have no such whole numbers
-        values = as_fractions(np.array([*columns.values()]), meta, *((0.0,) if binary else ()))
+        # Exports of ASD's binary have counts, but no reflectance in whole numbers.
+        most = {"most": 0.0} if "panel" in meta else {}
+        values = as_fractions(np.array([*columns.values()]), meta, **most)
         columns = dict(zip(columns, values, strict=True))
     for label, values in columns.items():
         row_meta = {**meta, "repairs": list(meta.get("repairs", []))}
