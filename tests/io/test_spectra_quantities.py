@@ -73,6 +73,14 @@ def test_reflectance_and_transmittance_of_a_row(tmp_path: Path) -> None:
         np.testing.assert_allclose(of(spectrum), leaf)
         np.testing.assert_allclose(np.array(spectrum.transmittance), 0.1 * leaf)
 
+    alone = pd.DataFrame(LEAVES[:1], columns=[f"T{w:g}" for w in WAVES])
+    alone.to_csv(tmp_path / "b.csv", index=False)
+    is_leaf(read_spectra_file(tmp_path / "b.csv")[0], through=True)
+    other = pd.DataFrame(LEAVES[:1], columns=[f"R{w + 1:g}" for w in WAVES])
+    alone.join(other).to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(InputError, match="at the same wavelengths, but of 202 only 101"):
+        read_spectra_file(tmp_path / "b.csv")
+
 
 @pytest.mark.parametrize("order", ["sample", "wavelength"])
 @pytest.mark.parametrize("through", [False, True])
@@ -90,6 +98,8 @@ def test_long_tables(tmp_path: Path, order: str, through: bool) -> None:
         np.testing.assert_allclose(of(one), wide[name])
         if through:
             np.testing.assert_allclose(np.array(one.transmittance), 0.5 * wide[name])
+    long[long["sample"] == "oak"].to_csv(tmp_path / "a.csv", index=False)
+    assert [one.name for one in read_spectra_file(tmp_path / "a.csv")] == ["oak"]
     pd.concat([long, long[:1]]).to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(
         InputError, match=r"one value of each sample at each wavelength.*is there twice"
@@ -179,6 +189,12 @@ def test_target_and_white_reference_are_no_leaves_but_their_ratio(tmp_path: Path
     assert any("over the white reference" in said for said in spectrum.meta["repairs"])
     (spectrum,) = read_spectra_file(table(tmp_path / "a.csv", {**raw, "reflectance": LEAF}))
     is_leaf(spectrum)
+
+
+def test_leaves_called_as_raw_columns_or_signs_are(tmp_path: Path) -> None:
+    for names in (["Sample", "Reference site"], ["Pinus rad", "E oak"], ["emission", "hull A"]):
+        path = table(tmp_path / "a.csv", dict(zip(names, LEAVES, strict=False)))
+        assert [one.name for one in read_spectra_file(path)] == names
 
 
 def test_a_files_name_of_another_quantity_is_a_doubt(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ class TableLayout:
     rejected: tuple[str, ...] = ()
     """What else it might have been, and why not."""
     through: tuple[int, ...] = ()
-    """Columns of transmittance at the wavelengths of `bands`, where each row has both."""
+    """Columns of transmittance at the wavelengths of `bands`, or `bands` where all are such."""
 
     @property
     def words(self) -> str:
@@ -64,8 +64,7 @@ class TableLayout:
 
 def _named_bands(header: Sequence[str]) -> tuple[dict[int, float], str, bool, tuple[int, ...]]:
     """Columns whose names may be wavelengths, their unit, whether the words before the numbers are
-    such as programs write, and columns of transmittance at the same wavelengths, as T400 is beside
-    R400."""
+    such as programs write, and columns of transmittance, as T400 is beside R400."""
     matches = {i: _BAND_NAME.match(name.replace(",", ".")) for i, name in enumerate(header)}
     found = {i: m for i, m in matches.items() if m}
     bands = {i: float(m[2]) for i, m in found.items()}
@@ -74,6 +73,8 @@ def _named_bands(header: Sequence[str]) -> tuple[dict[int, float], str, bool, tu
     through: tuple[int, ...] = ()
     if passed and [*passed.values()] == [*others.values()]:
         bands, through = others, tuple(passed)
+    elif passed:
+        through = tuple(passed)
     units = sorted({m[3] for m in found.values() if m[3]})
     usual = all(_BEFORE_BANDS.fullmatch(m["before"]) for m in found.values())
     return bands, " ".join(units), usual, through
@@ -130,9 +131,9 @@ def layout_of(table: TextTable) -> TableLayout:
         rejected = (f"{names}: in no order, or no wavelengths",) if many else ()
         return TableLayout(False, at, {}, "", (_about(header, at, named, stands),), rejected)
     if not stands:
-        return TableLayout(
-            True, at, bands, unit, (f"{names}, as wavelengths are",), through=through
-        )
+        _check_bands_of_both(bands, through)
+        evidence = (f"{names}, as wavelengths are",)
+        return TableLayout(True, at, bands, unit, evidence, through=through)
     if is_number(header[at]) and len(bands) < len(header):  # a table without a header
         return TableLayout(False, at, {}, "", (_about(header, at, named, stands),))
     rough = _both(rows, at, bands)
@@ -146,8 +147,19 @@ def layout_of(table: TextTable) -> TableLayout:
     down = [float(cell.replace(",", ".")) for cell in cells]
     if named or _are_down(down, shown, rough, usual, of_samples):
         return TableLayout(False, at, {}, "", (column, smooth), samples)
+    _check_bands_of_both(bands, through)
     rejected = (f"{column}: numbers of samples",)
     return TableLayout(True, at, bands, unit, (names, smooth), rejected, through)
+
+
+def _check_bands_of_both(bands: Mapping[int, float], through: Sequence[int]) -> None:
+    """Raise `InputError` where some columns are of transmittance, at other wavelengths than the
+    rest."""
+    if set(through) & set(bands) and not set(through) >= set(bands):
+        raise InputError(
+            f"expected columns such as R400 and T400 at the same wavelengths, but of {len(bands)} "
+            f"only {len(through)} are of transmittance, at others: put both in tables of their own"
+        )
 
 
 def _are_down(

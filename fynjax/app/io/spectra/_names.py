@@ -59,7 +59,7 @@ _LONG_WORDS = (
 )
 _OTHER_QUANTITY = re.compile(
     rf"{_LONG_WORDS}|(^|[ (])(abs|log ?\(?1/r\)?|dn|raw|r ?\+ ?t|t ?\+ ?r)($|[ )])"
-    r"|(^|[ (])(rad|irr|deriv)$",
+    r"|^(rad|irr)$",
     re.I,
 )
 _RADIANT = re.compile(r"[LE] (target|tgt|down\w*|up\w*|sky|sun|panel|ref\w*|white)", re.ASCII)
@@ -94,7 +94,8 @@ def other_quantity(name: str) -> str:
     """What a name says its values are, where it is neither reflectance nor transmittance, such as
     "radiance"; else empty."""
     plain = re.sub(r"[_.\-]+", " ", name).strip()
-    found = _OTHER_QUANTITY.search(plain) or _RADIANT.fullmatch(plain)
+    ending = re.search(r"(?<=\.)(rad|irr)$", name, re.I)  # as ASD's program calls columns
+    found = _OTHER_QUANTITY.search(plain) or _RADIANT.fullmatch(plain) or ending
     return found[0].strip(" ()") if found else ""
 
 

@@ -23,11 +23,11 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
     reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); text of Ocean Optics, Jaz and
-    Avantes; the USGS library, with its wavelengths beside it; ECOSTRESS and older ASTER library
-    text; tables as `open_table` takes them (CSV, TSV, Excel) with a wavelength column and one
-    column a spectrum, or wide with one row a spectrum and wavelengths as column names (EcoSIS,
-    SPECCHIO);
-    ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+    Avantes; JCAMP-DX in plain numbers; the USGS library, with its wavelengths beside it; ECOSTRESS
+    and older ASTER library text; tables as `open_table` takes them (CSV, TSV, Excel) with a
+    wavelength column and one column a spectrum, long with a row for each sample and wavelength, or
+    wide with one row a spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI
+    spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
     **Arguments:** `path`, the file.
 
@@ -36,8 +36,9 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     written in `meta["repairs"]`.
 
     **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
-    that holds radiance or has no usable white reference, reflectance that must be percent, is
-    negative or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
+    that holds radiance or has no usable white reference, another quantity than reflectance or
+    transmittance, reflectance of another scale than percent or times 10000, that is negative
+    or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
 
     >>> import pathlib, tempfile
     >>> from fynjax.app.io.spectra import read_spectra_file

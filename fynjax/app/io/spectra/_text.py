@@ -140,6 +140,8 @@ def _ratio(columns: dict[str, np.ndarray], meta: dict[str, Any]) -> dict[str, np
     target, white, dark = found
     if target is None or white is None:
         return columns
+    if np.nanmean(columns[white] >= columns[target]) < 0.95:  # two leaves, of those names
+        return columns
     rest = {name: values for name, values in columns.items() if name not in found}
     if any(marked(name)[0] for name in rest):
         note(meta, f"columns {target!r} and {white!r} left out beside reflectance")
@@ -194,16 +196,20 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
     header, file, bands = table.names, table.path, layout.bands
     meta: dict[str, Any] = {"format": "table, one row a spectrum"}
     wavelength = _to_nm(np.array(list(bands.values())), layout.unit, meta)
-    others = [i for i in range(len(header)) if i not in bands and i not in layout.through]
+    beside = [i for i in layout.through if i not in bands]
+    all_passed = bool(layout.through) and not beside
+    if all_passed:
+        note(meta, "taken for transmittance, as the T before the wavelengths says")
+    others = [i for i in range(len(header)) if i not in bands and i not in beside]
     labels = [name.lower() for name in header]
     name_at = next((i for i in others if labels[i] in NAME_KEYS), others[0] if others else None)
-    frame = table.columns([*bands, *layout.through], others, MISSING)
+    frame = table.columns([*bands, *beside], others, MISSING)
     texts = frame[others].to_dict("records")
     quantities = {i: {marked(cell)[0] for cell in frame[i] if not marked(cell)[1]} for i in others}
     kind_at = next((i for i in others if "transmittance" in quantities[i]), None)
     records: dict[str, MeasuredSpectrum] = {}
     rows: list[int] = []
-    both = as_fractions(frame[[*bands, *layout.through]].to_numpy(), meta)
+    both = as_fractions(frame[[*bands, *beside]].to_numpy(), meta)
     table_values, passed = both[:, : len(bands)], both[:, len(bands) :]
     said_at = [i for i in others if _QUANTITIES.fullmatch(labels[i])]
     for number, (values, cells) in enumerate(zip(table_values, texts), start=1):
@@ -214,7 +220,7 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
         if kind_at is not None and not kind:
             name = f"{name} {cells[kind_at]}"
         name += "".join(f" {cells[i]}" for i in said_at if other_quantity(cells[i]))
-        through = kind == "transmittance"
+        through = all_passed or kind == "transmittance"
         old = records.get(name)
         if old is not None and through and old.transmittance is None:
             records[name] = replace(old, transmittance=values)
@@ -226,7 +232,7 @@ def _by_row(table: TextTable, layout: TableLayout) -> list[MeasuredSpectrum]:
             rows = rows or [row for row, _ in table.rows()]
         unique = name if old is None else f"{name}_row{rows[number - 1]}"
         records[unique] = single_spectrum(unique, wavelength, values, row_meta, through)
-        if layout.through:
+        if beside:
             records[unique] = replace(records[unique], transmittance=passed[number - 1])
     return list(records.values())
 
@@ -333,7 +339,8 @@ def _long(table: TextTable) -> list[MeasuredSpectrum]:
     frame = table.columns(
         [at, *values], [i for i in range(len(names)) if i not in (at, *values)], MISSING
     )
-    if not frame[at].duplicated().any():
+    of_one = any(names[i].lower() in _IDS and not is_number(first[i]) for i in words)
+    if not of_one and not frame[at].duplicated().any():
         return []
     by = sorted(words)
     if frame.duplicated([*by, at]).any():  # leaves numbered within a sample
