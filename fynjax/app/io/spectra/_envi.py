@@ -201,6 +201,8 @@ def header_numbers(
 def good_bands(header: dict[str, Any], count: int) -> NDArray[np.bool_]:
     """Bands that are to be used by a header's list of bad bands, shape (`count`,); all without one.
 
+    **Arguments:** `header`: fields, as of `read_header`; `count`: number of bands.
+
     **Raises:** `InputError` as `header_numbers`.
     """
     return header_numbers(header, "bbl", count, 1.0) != 0.0
