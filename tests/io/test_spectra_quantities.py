@@ -340,22 +340,22 @@ def test_jasco_and_polypen(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["XYPOINTS=(XY..XY)", "XYDATA=(X++(Y..Y))"])
 def test_jcamp(tmp_path: Path, form: str) -> None:
-    made = np.round(1e4 * LEAF).astype(int)
+    made = np.round(2e3 * LEAF).astype(int)
     if "++" in form:
         lines = [f"{WAVES[k]:g} {' '.join(map(str, made[k : k + 5]))}" for k in range(0, 101, 5)]
     else:
-        lines = [f"{w:g}, {v}" for w, v in zip(WAVES, made, strict=True)]
+        lines = [f"{w / 2:g}, {v}" for w, v in zip(WAVES, made, strict=True)]
     head = (
         "##TITLE=oak\n##JCAMP-DX=4.24 $$ a remark\n##XUNITS=NANOMETERS\n##YUNITS=REFLECTANCE\n"
-        f"##FIRSTX=400\n##LASTX=2400\n##XFACTOR=1.0\n##YFACTOR=0.0001\n##NPOINTS=101\n##{form}\n"
+        f"##FIRSTX=400\n##LASTX=2400\n##XFACTOR=2.0\n##YFACTOR=0.0005\n##NPOINTS=101\n##{form}\n"
     )
     text = head + "\n".join(lines) + "\n##END=\n"
     spectrum = read(tmp_path, text, "a.jdx")
-    is_leaf(spectrum, atol=1e-4)
+    is_leaf(spectrum, atol=3e-4)
     np.testing.assert_allclose(spectrum.wavelength, WAVES)
     for wrong, words in (
         (text.replace("POINTS=101", "POINTS=102"), "expected 102 values"),
-        (text.replace("FACTOR=0.0001", "FACTOR=a"), "expected a number in the head"),
+        (text.replace("FACTOR=0.0005", "FACTOR=a"), "expected a number in the head"),
         (head + "400A43B2%\n##END=\n", "plain numbers, but they are compressed"),
     ):
         with pytest.raises(InputError, match=words):
