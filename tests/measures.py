@@ -201,7 +201,7 @@ MEASURES = {
     "lines of the library": Measure(
         50_150, 40_000, lambda m: _lines(m, tuple(f"{room}/" for room in ("_core", *ROOMS)))
     ),
-    "lines of all": Measure(97_500, 78_000, lambda m: _lines(m, ("",))),
+    "lines of all": Measure(98_400, 78_000, lambda m: _lines(m, ("",))),
 }
 PREDICTION = 45
 """At most so many modules does a prediction enter; aimed at: 25."""

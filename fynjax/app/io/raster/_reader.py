@@ -32,7 +32,7 @@ from fynjax._core.errors import LARGEST, InputError, in_file, refusing
 from fynjax._core.files import check_stated_size, existing_file, how_to_import, is_elsewhere
 from fynjax._core.progress import track
 from fynjax.app.io.raster._crs import check_lengths, check_metric, is_local, stretch, utm_zone
-from fynjax.app.io.spectra import check_widths, header_numbers, in_nanometres, open_envi
+from fynjax.app.io.spectra import check_widths, good_bands, header_numbers, in_nanometres, open_envi
 from fynjax.app.io.text import check_fits, stated_number
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
@@ -183,7 +183,7 @@ class RasterFile:
     def good(self) -> Bool[np.ndarray, " band"]:
         """Bands that are to be used by the header's list of bad bands."""
         with in_file(self.header_path):
-            return header_numbers(self.header, "bbl", self.dataset.count, 1.0) != 0.0
+            return good_bands(self.header, self.dataset.count)
 
     @cached_property
     def xmp(self) -> dict[str, list[str]]:

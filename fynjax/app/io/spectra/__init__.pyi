@@ -7,6 +7,7 @@ from ._dataset import read_spectra as read_spectra
 from ._dataset import usable_spectra as usable_spectra
 from ._dataset import warnings_of_reading as warnings_of_reading
 from ._dataset import write_spectra_netcdf as write_spectra_netcdf
+from ._envi import good_bands as good_bands
 from ._envi import header_numbers as header_numbers
 from ._envi import open_envi as open_envi
 from ._envi import read_header as read_header

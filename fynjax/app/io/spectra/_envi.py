@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from fynjax._core.errors import LARGEST, InputError, in_file, names_file, refusing
 from fynjax._core.files import is_elsewhere, read_bytes
-from fynjax.app.io.spectra._record import MeasuredSpectrum, in_nanometres, note
+from fynjax.app.io.spectra._names import stated_quantity
+from fynjax.app.io.spectra._record import (
+    MeasuredSpectrum,
+    as_fractions,
+    in_nanometres,
+    note,
+    single_spectrum,
+    without_marks,
+)
 from fynjax.app.io.text import stated_number
 
 _INTERLEAVES = ("bsq", "bil", "bip")
@@ -190,6 +198,16 @@ def header_numbers(
     return values
 
 
+def good_bands(header: dict[str, Any], count: int) -> NDArray[np.bool_]:
+    """Bands that are to be used by a header's list of bad bands, shape (`count`,); all without one.
+
+    **Arguments:** `header`: fields, as of `read_header`; `count`: number of bands.
+
+    **Raises:** `InputError` as `header_numbers`.
+    """
+    return header_numbers(header, "bbl", count, 1.0) != 0.0
+
+
 def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
     """Read an ENVI spectral library, given its data file or its header.
 
@@ -205,6 +223,7 @@ def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
         if "wavelength" not in header:
             raise InputError("the header needs wavelength")
         stated = header_numbers(header, "wavelength", layout.ncols)
+        good = good_bands(header, layout.ncols)
         wavelength, factor = in_nanometres(stated, header.get("wavelength units", ""))
         with refusing(TypeError, ValueError, words="expected a number, but {error}"):
             scale = stated_number(header.get("reflectance scale factor", 1.0))
@@ -213,13 +232,21 @@ def read_envi_library(path: str | Path) -> list[MeasuredSpectrum]:
     values = np.fromfile(data_path, layout.dtype, lines * bands, offset=layout.offset)
     values = values.reshape(lines, bands).astype(float)
     meta: dict[str, Any] = {"format": "ENVI spectral library"}
-    values = np.where(values == ignore, np.nan, values / scale)
+    values = np.where((values == ignore) | ~good, np.nan, values)
+    if not good.all():
+        note(meta, f"{(~good).sum()} bands that the header's list calls bad set to missing")
     if scale != 1.0:
         note(meta, f"divided by the header's reflectance scale factor {scale:g}")
+        values = without_marks(values, scale, meta) / scale
+    else:
+        values = as_fractions(values, meta)
     if factor != 1.0:
         note(meta, "wavelengths converted from µm to nm")
     names = header.get("spectra names", [])
     if len(names) != lines:
         names = [f"{data_path.stem}_{i + 1}" for i in range(lines)]
+    titles = np.ravel(header.get("z plot titles", []))[1:2]
+    with in_file(header_path):
+        through = stated_quantity(f"Y units: {title}" for title in titles) == "transmittance"
     rows = zip(names, values)
-    return [MeasuredSpectrum(name, wavelength, row, None, meta).noted() for name, row in rows]
+    return [single_spectrum(name, wavelength, row, meta, through).noted() for name, row in rows]

@@ -54,7 +54,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
     **Raises:** `InputError` for a file without reflectance, and as `open_table`.
     """
     lines = data[:_LONGEST_HEAD].decode(errors="replace").splitlines()
-    svc = lines[0].startswith(_SVC)
+    svc = next((line for line in lines if line.strip()), "").startswith(_SVC)
     marks = [i for i, line in enumerate(lines[:120]) if line.strip().lower() in ("data=", _SED)]
     if not marks or not (svc or lines[marks[0]].strip().lower() == _SED):
         return None
@@ -71,7 +71,7 @@ def read_field_spectrum(data: bytes, file: Path) -> MeasuredSpectrum | None:
         (line for line in lines[: marks[0]] if line.lower().startswith("measurement")), ""
     )
     named = names[column] if not svc and 0 <= column < len(names) else ""
-    through = "trans" in (named or stated).lower()
+    through = "trans" in (named + stated).lower()  # programs call the column so whatever it is
     quantity = "transmittance" if through else "reflectance"
     parts = [1, 2] if svc else _target_and_reference(names)
     if column < 0 and not parts:

@@ -22,10 +22,12 @@ _BEFORE_BANDS = re.compile(
     re.I,
 )
 """What programs write before the wavelengths that are names of columns."""
+_PASSED = ("t", "trans", "transmittance")
 _MOST_ROWS = 64
 _LEAST_NM, _MOST_NM = 250.0, 30_000.0
-_LEAST_SPAN = 1.15
-"""Longest over shortest wavelength of a spectrum, at least: samples are numbered in narrow runs."""
+_LEAST_SPAN = np.log(1.15)
+"""Logarithm of the longest over the shortest wavelength of a spectrum, at least: samples are
+numbered in narrow runs."""
 NAME_KEYS = (
     *("name", "id", "sample", "sample_id", "spectrum", "spectra", "file name", "filename"),
     *("leaf", "species", "taxon", "plot", "plant"),
@@ -51,6 +53,8 @@ class TableLayout:
     """Why it was taken so."""
     rejected: tuple[str, ...] = ()
     """What else it might have been, and why not."""
+    through: tuple[int, ...] = ()
+    """Columns of transmittance at the wavelengths of `bands`, or `bands` where all are such."""
 
     @property
     def words(self) -> str:
@@ -58,15 +62,22 @@ class TableLayout:
         return "a row a spectrum" if self.by_row else "a column a spectrum"
 
 
-def _named_bands(header: Sequence[str]) -> tuple[dict[int, float], str, bool]:
-    """Columns whose names may be wavelengths, their unit, and whether the words before the numbers
-    are such as programs write."""
+def _named_bands(header: Sequence[str]) -> tuple[dict[int, float], str, bool, tuple[int, ...]]:
+    """Columns whose names may be wavelengths, their unit, whether the words before the numbers are
+    such as programs write, and columns of transmittance, as T400 is beside R400."""
     matches = {i: _BAND_NAME.match(name.replace(",", ".")) for i, name in enumerate(header)}
     found = {i: m for i, m in matches.items() if m}
     bands = {i: float(m[2]) for i, m in found.items()}
+    passed = {i: w for i, w in bands.items() if found[i]["before"].strip(" _.").lower() in _PASSED}
+    others = {i: w for i, w in bands.items() if i not in passed}
+    through: tuple[int, ...] = ()
+    if passed and [*passed.values()] == [*others.values()]:
+        bands, through = others, tuple(passed)
+    elif passed:
+        through = tuple(passed)
     units = sorted({m[3] for m in found.values() if m[3]})
     usual = all(_BEFORE_BANDS.fullmatch(m["before"]) for m in found.values())
-    return bands, " ".join(units), usual
+    return bands, " ".join(units), usual, through
 
 
 def _mostly_one_way(values: Sequence[float]) -> bool:
@@ -77,7 +88,7 @@ def _mostly_one_way(values: Sequence[float]) -> bool:
     return bool(max((steps > 0).sum(), (steps < 0).sum()) >= max(0.9 * steps.size, steps.size - 3))
 
 
-def _are_wavelengths(values: Sequence[float]) -> bool:
+def are_wavelengths(values: Sequence[float]) -> bool:
     """Whether numbers can be wavelengths, in nm, in µm or as wave numbers."""
     array = np.asarray(values, float)
     if array.size < 2 or not np.isfinite(array).all() or not _mostly_one_way(values):
@@ -110,8 +121,8 @@ def layout_of(table: TextTable) -> TableLayout:
     """
     header = table.names
     rows = [cells for _, cells in itertools.islice(table.rows(), _MOST_ROWS)]
-    bands, unit, usual = _named_bands(header)
-    in_header = len(bands) >= _FEW_BANDS and _are_wavelengths(list(bands.values()))
+    bands, unit, usual, through = _named_bands(header)
+    in_header = len(bands) >= _FEW_BANDS and are_wavelengths(list(bands.values()))
     at, named, stands = _column(header, rows)
     shown = list(bands.values())
     names = f"{len(bands)} names of columns with numbers, {_ends(shown)}" if bands else ""
@@ -120,10 +131,9 @@ def layout_of(table: TextTable) -> TableLayout:
         rejected = (f"{names}: in no order, or no wavelengths",) if many else ()
         return TableLayout(False, at, {}, "", (_about(header, at, named, stands),), rejected)
     if not stands:
-        return TableLayout(
-            True, at, bands, unit, (f"{names}, as wavelengths are",),
-            ("no column has numbers that are wavelengths",),
-        )  # fmt: skip
+        _check_bands_of_both(bands, through)
+        evidence = (f"{names}, as wavelengths are",)
+        return TableLayout(True, at, bands, unit, evidence, through=through)
     if is_number(header[at]) and len(bands) < len(header):  # a table without a header
         return TableLayout(False, at, {}, "", (_about(header, at, named, stands),))
     rough = _both(rows, at, bands)
@@ -133,20 +143,50 @@ def layout_of(table: TextTable) -> TableLayout:
     column = _about(header, at, named, stands)
     samples = (f"{names}: names of samples",)
     of_samples = header[at].lower().strip(" :") in NAME_KEYS and bool(header[at])
-    down = [float(row[at].replace(",", ".")) for row in rows]
-    wide = _span(down) >= _LEAST_SPAN, _span(shown) >= _LEAST_SPAN
-    column_wise = named or (
-        not of_samples
-        and (wide[0] if wide[0] != wide[1] else not usual or rough[0] < 0.5 * rough[1])
-    )
-    if column_wise:
+    cells = [row[at] for _, row in table.rows() if at < len(row) and is_number(row[at])]
+    down = [float(cell.replace(",", ".")) for cell in cells]
+    if named or _are_down(down, shown, rough, usual, of_samples):
         return TableLayout(False, at, {}, "", (column, smooth), samples)
-    return TableLayout(True, at, bands, unit, (names, smooth), (f"{column}: numbers of samples",))
+    _check_bands_of_both(bands, through)
+    rejected = (f"{column}: numbers of samples",)
+    return TableLayout(True, at, bands, unit, (names, smooth), rejected, through)
 
 
-def _span(values: Sequence[float]) -> float:
-    """Longest over shortest wavelength."""
-    return max(values) / min(values)
+def _check_bands_of_both(bands: Mapping[int, float], through: Sequence[int]) -> None:
+    """Raise `InputError` where some columns are of transmittance, at other wavelengths than the
+    rest."""
+    if set(through) & set(bands) and not set(through) >= set(bands):
+        raise InputError(
+            f"expected columns such as R400 and T400 at the same wavelengths, but of {len(bands)} "
+            f"only {len(through)} are of transmittance, at others: put both in tables of their own"
+        )
+
+
+def _are_down(
+    down: Sequence[float],
+    along: Sequence[float],
+    rough: tuple[float, float],
+    usual: bool,
+    of_samples: bool,
+) -> bool:
+    """Whether of numbers down a column and along the header those of the column are wavelengths.
+
+    One that alone spans a spectrum is; then one that spans a fifth more of a spectrum, in octaves;
+    last what most of these say: along which the values are smoother, which has the finer steps, and
+    whether the corner is named as samples are.
+    """
+    spans = [np.log(max(values) / min(values)) for values in (down, along)]
+    wide = [span >= _LEAST_SPAN for span in spans]
+    if wide[0] != wide[1]:
+        return wide[0]
+    if not usual:
+        return True
+    if wide[0] and max(spans) > 1.2 * min(spans):
+        return bool(spans[0] > spans[1])
+    steps = [float(np.median(np.abs(np.diff(values)))) for values in (down, along)]
+    smoother = (rough[0] < 0.5 * rough[1]) - (rough[1] < 0.5 * rough[0])
+    finer = (steps[0] < 0.4 * steps[1]) - (steps[1] < 0.4 * steps[0])
+    return bool(smoother + finer * wide[0] - of_samples > 0)
 
 
 def _column(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[int, bool, bool]:
@@ -156,7 +196,7 @@ def _column(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[int, 
     for i in range(min(len(header), 3)):
         cells = [row[i] if i < len(row) else "" for row in rows]
         if all(is_number(cell) for cell in cells):
-            numbers[i] = _are_wavelengths([float(cell.replace(",", ".")) for cell in cells])
+            numbers[i] = are_wavelengths([float(cell.replace(",", ".")) for cell in cells])
     called = [i for i in numbers if WAVELENGTH.match(header[i]) and numbers[i]]
     if called:
         return called[0], True, True

@@ -1,7 +1,7 @@
 """What the names of spectra and of their files say: reflectance, transmittance, or no leaf."""
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,9 +52,32 @@ _MEAN = re.compile(
     r"\b[ _.\-]*(?P<also>.*)",
     re.I,
 )
+_LONG_WORDS = (
+    r"(absorptan|absorban|(ir)?radian)(ce|z|[cç]ia)|absorption|absorp([cç]ión|ção)|emittance"
+    r"|emissi?vi(ty|tät|té|dad)|fluorescence|derivative|continuum|(convex )?hull (removed|quotient)"
+    r"|fwhm|bandwidth"
+)
 _OTHER_QUANTITY = re.compile(
-    r"(^|[ _.(])(absorptance|absorbance|absorption|abs|(ir)?radiance|log ?\(?1/r\)?|dn|raw)"
-    r"($|[ _.)])",
+    rf"{_LONG_WORDS}|(^|[ (])(abs|log ?\(?1/r\)?|dn|raw|r ?\+ ?t|t ?\+ ?r)($|[ )])"
+    r"|^(rad|irr)$",
+    re.I,
+)
+_RADIANT = re.compile(r"[LE] (target|tgt|down\w*|up\w*|sky|sun|panel|ref\w*|white)", re.ASCII)
+"""Radiance and irradiance by their signs."""
+_STATED = r"(?P<{}>trans(mission|mittance)|refle(ction|ctance|xion|xão)|{})"
+_STATEMENT = re.compile(
+    rf"\W*{_STATED.format('start', _LONG_WORDS)}\W*($|(of|data|spectr\w+)\b.*)"
+    rf"|.*?\b{_STATED.format('end', _LONG_WORDS)}( data| spectr\w+| mode)?\W*(\([^)]*\)\W*|%\W*)?$",
+    re.I,
+)
+_REMARK = re.compile(r"\W*(comment|remark|note|operator|lamp|light|source|path|file ?name)", re.I)
+_NODE = re.compile(r"Data from (.*) Node")
+SUFFIXES = {
+    **{".trm": "transmittance", ".abs": "absorbance", ".irr": "irradiance", ".rad": "radiance"}
+}
+"""Quantities by the endings of files."""
+_BOUND = re.compile(
+    r"(?P<of>.+?)[ _.\-]*[ _.\-(](lower|upper|lwr|upr|min|max|cv|rsd|sem?|var|n|ci|ll|ul|q\d+)\)?",
     re.I,
 )
 _QUANTILE, _MEDIAN = re.compile(r"p(\d+)", re.I), 50
@@ -65,6 +88,46 @@ _DARK_BLUE, _PLATEAU = 0.02, 0.3
 below and above these, of 907 transmittances of four of these sets 496."""
 _USUAL = {0, 1, 2, 3, 5, 10, 16, 20, 25, 50, 75, 80, 84, 90, 95, 97, 98, 99, 100}
 """Percentiles that people take; of them one at least is the median or above."""
+
+
+def other_quantity(name: str) -> str:
+    """What a name says its values are, where it is neither reflectance nor transmittance, such as
+    "radiance"; else empty."""
+    plain = re.sub(r"[_.\-]+", " ", name).strip()
+    ending = re.search(r"(?<=\.)(rad|irr)$", name, re.I)  # as ASD's program calls columns
+    found = _OTHER_QUANTITY.search(plain) or _RADIANT.fullmatch(plain) or ending
+    return found[0].strip(" ()") if found else ""
+
+
+def stated_quantity(lines: Iterable[str]) -> str:
+    """What the lines above the numbers say that these are: "reflectance", "transmittance" or
+    empty, where they say nothing.
+
+    **Raises:** `InputError` for another quantity, such as radiance, where none says reflectance.
+    """
+    said = {}
+    for line in lines:
+        if (node := _NODE.match(line)) and (words := other_quantity(node[1]) or node[1]):
+            line = "reflectance" if re.search("refle", node[1], re.I) else words
+            line = "transmittance" if re.search("transmi", node[1], re.I) else line
+        if not _REMARK.match(line) and (match := _STATEMENT.fullmatch(line[:200].strip())):
+            word = (match["start"] or match["end"]).lower()
+            quantity = {"r": "reflectance", "t": "transmittance"}.get(word[0], word)
+            said[quantity if "radian" not in word else word] = line.strip()
+    for quantity in ("reflectance", "transmittance"):
+        if quantity in said:
+            return quantity
+    for quantity, line in said.items():
+        raise another(quantity, f"the file says {line!r:.80}")
+    return ""
+
+
+def another(quantity: str, why: str) -> InputError:
+    """The error of a file of another quantity."""
+    return InputError(
+        f"expected reflectance or transmittance, but {why}, which is another quantity "
+        f"({quantity}): convert it to reflectance in the instrument's program"
+    )
 
 
 def marked(name: str, among: Collection[str] = ()) -> tuple[str, str, str]:
@@ -133,9 +196,18 @@ def _swapped(name: str, match: re.Match[str]) -> str:
     return name[: match.start()] + match[0].translate(_OTHER) + name[match.end() :]
 
 
-def is_no_leaf(name: str, wavelength: np.ndarray, values: np.ndarray | None) -> bool:
-    """Whether a column of a table is a statistic of the others, or a copy of the wavelengths."""
+def is_no_leaf(
+    name: str, wavelength: np.ndarray, values: np.ndarray | None, among: Collection[str] = ()
+) -> bool:
+    """Whether a column of a table is a statistic of the others, or a copy of the wavelengths.
+
+    **Arguments:** `among`, names of all in small letters: a bound such as "oak_upper" stands beside
+    its "oak".
+    """
     if _NO_LEAF.fullmatch(re.sub(r"[_.\-]+", " ", name).strip(" ()")):
+        return True
+    around = _BOUND.fullmatch(name)
+    if around and around["of"].lower() in among:
         return True
     if values is None or not np.isfinite(values).all():
         return False
@@ -158,10 +230,11 @@ def _absorbs(spectrum: MeasuredSpectrum) -> bool:
     return red > 0.5 and _level(spectrum, _BRIGHT) < 0.5 * red
 
 
-def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
+def leaves_only(spectra: Sequence[MeasuredSpectrum], stem: str = "") -> list[MeasuredSpectrum]:
     """Spectra of a table without its columns that are no leaves, which the first one notes.
 
-    A mean that stands alone is a spectrum like others.
+    A mean that stands alone is a spectrum like others. `stem` is the file's name, which a column
+    without one has.
 
     **Raises:** `InputError` where all are of another quantity, such as radiance.
     """
@@ -170,7 +243,7 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
     other = [
         s
         for s in spectra
-        if _OTHER_QUANTITY.search(s.name) or s.name.lower() in absorbed or _absorbs(s)
+        if (s.name != stem and other_quantity(s.name)) or s.name.lower() in absorbed or _absorbs(s)
     ]
     if other and len(other) == len(spectra):
         why = ": it is more in red than in the near infrared, as absorptance"
@@ -178,19 +251,21 @@ def leaves_only(spectra: Sequence[MeasuredSpectrum]) -> list[MeasuredSpectrum]:
             f"expected reflectance or transmittance, but {other[0].name!r} is another quantity"
             f"{why if _absorbs(other[0]) else ''}"
         )
-    left = [
-        s
-        for s in spectra
-        if any(s is one for one in other)
-        or is_no_leaf(
-            s.name, s.wavelength, s.transmittance if s.reflectance is None else s.reflectance
-        )
-    ]
+    among = {s.name.lower() for s in spectra}
+    left = []
+    for s in spectra:
+        values = s.transmittance if s.reflectance is None else s.reflectance
+        name = "" if s.name == stem else s.name
+        if any(s is one for one in other) or is_no_leaf(name, s.wavelength, values, among):
+            left.append(s)
     numbers = [int(m[1]) for s in left if (m := _QUANTILE.fullmatch(s.name))]
     if not set(numbers) <= _USUAL or max(numbers, default=_MEDIAN) < _MEDIAN:  # plants P1, P2, ...
         left = [s for s in left if not _QUANTILE.fullmatch(s.name)]
     kept = [s for s in spectra if not any(s is one for one in left)]
-    if not kept:  # a mean with its error: of the two the error is no spectrum
+    if not kept:  # a mean with its least or its error: the mean is a spectrum
+        kept = [s for s in spectra if _MEAN.fullmatch(s.name) or s.name.lower() == "median"]
+        left = [s for s in spectra if not any(s is one for one in kept)]
+    if not kept:
         left = [s for s in left if _ERROR.fullmatch(re.sub(r"[_.\-]+", " ", s.name).strip(" ()"))]
         kept = [s for s in spectra if not any(s is one for one in left)]
     if not kept or not left:
@@ -355,6 +430,8 @@ def _doubt(file: str, spectrum: MeasuredSpectrum, names: Sequence[str]) -> str:
             )
     if spectrum.reflectance is None or spectrum.transmittance is not None:
         return ""
+    if quantity := other_quantity(Path(file).stem):
+        return f"the name of the file says {quantity!r}: taken for reflectance, is it?"
     last = _LAST.fullmatch(name)
     if last and last["mark"] in "tT":
         stem = last["stem"]

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from fynjax._core.errors import InputError, in_file, names_file
+from fynjax._core.tables import as_utf8
 from fynjax.app.io.spectra._asd import is_asd, read_asd
 from fynjax.app.io.spectra._envi import read_envi_library
 from fynjax.app.io.spectra._field import read_field_spectrum
+from fynjax.app.io.spectra._names import SUFFIXES, another, as_transmittance
 from fynjax.app.io.spectra._record import MeasuredSpectrum, check_spectrum
-from fynjax.app.io.spectra._small import read_small_spectrometer, read_usgs
+from fynjax.app.io.spectra._small import read_jcamp, read_small_spectrometer, read_usgs
 from fynjax.app.io.spectra._text import read_text_spectra
 from fynjax.app.io.text import existing_file, read_bytes
 
@@ -21,11 +23,11 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
 
     Recognised by content, not by name: ASD binary (versions 6, 7, 8); ASD's ASCII export;
     reflectance of SVC (`.sig`) and Spectral Evolution (`.sed`); text of Ocean Optics, Jaz and
-    Avantes; the USGS library, with its wavelengths beside it; ECOSTRESS and older ASTER library
-    text; tables as `open_table` takes them (CSV, TSV, Excel) with a wavelength column and one
-    column a spectrum, or wide with one row a spectrum and wavelengths as column names (EcoSIS,
-    SPECCHIO);
-    ENVI spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
+    Avantes; JCAMP-DX in plain numbers; the USGS library, with its wavelengths beside it; ECOSTRESS
+    and older ASTER library text; tables as `open_table` takes them (CSV, TSV, Excel) with a
+    wavelength column and one column a spectrum, long with a row for each sample and wavelength, or
+    wide with one row a spectrum and wavelengths as column names (EcoSIS, SPECCHIO); ENVI
+    spectral libraries (give the `.sli` or its `.hdr`). A `.gz` ending is unpacked.
 
     **Arguments:** `path`, the file.
 
@@ -34,8 +36,9 @@ def read_spectra_file(path: str | Path) -> list[MeasuredSpectrum]:
     written in `meta["repairs"]`.
 
     **Raises:** `InputError` naming the file, for an unknown format, a file cut short, an ASD file
-    that holds radiance or has no usable white reference, reflectance that must be percent, is
-    negative or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
+    that holds radiance or has no usable white reference, another quantity than reflectance or
+    transmittance, reflectance of another scale than percent or times 10000, that is negative
+    or above 1, wavelengths in µm under a nm header, or a spectrum of NaN only.
 
     >>> import pathlib, tempfile
     >>> from fynjax.app.io.spectra import read_spectra_file
@@ -83,9 +86,7 @@ def read_usable_spectra(
     elif suffixes[-1:] in ([".hdr"], [".sli"], [".slb"]):
         spectra = read_envi_library(path)
     elif _is_text(data) or data[:4] == b"PK\3\4":  # an Excel workbook
-        readers = (read_field_spectrum, read_usgs, read_small_spectrometer)
-        alone = next((one for read in readers if (one := read(data, path)) is not None), None)
-        spectra = read_text_spectra(data, path) if alone is None else [alone]
+        spectra = _of_quantity(_text_spectra(data, path), suffixes)
     else:
         raise InputError(
             "unknown format: neither ASD binary (as6, as7, as8), ENVI spectral library, nor text"
@@ -98,6 +99,30 @@ def read_usable_spectra(
         except InputError as error:
             refused.append((spectrum.name, error))
     return usable, refused
+
+
+def _text_spectra(data: bytes, path: Path) -> list[MeasuredSpectrum]:
+    """Spectra of a file of text, whose letters are decoded once for all its readers."""
+    if data[:4] != b"PK\3\4":
+        data = as_utf8(data, path)
+        for read in (read_field_spectrum, read_usgs, read_small_spectrometer, read_jcamp):
+            if (alone := read(data, path)) is not None:
+                return [alone]
+    return read_text_spectra(data, path)
+
+
+def _of_quantity(spectra: list[MeasuredSpectrum], suffixes: list[str]) -> list[MeasuredSpectrum]:
+    """The spectra as of the quantity that the file's ending states, such as `.trm`.
+
+    **Raises:** `InputError` for an ending of another quantity, such as `.irr`.
+    """
+    for suffix in set(suffixes) & set(SUFFIXES):
+        if SUFFIXES[suffix] != "transmittance":
+            raise another(SUFFIXES[suffix], f"the file ends in {suffix}")
+        spectra = [
+            one if one.transmittance is not None else as_transmittance(one) for one in spectra
+        ]
+    return spectra
 
 
 def _is_text(data: bytes) -> bool:

@@ -23,6 +23,14 @@ under no sun glint have .02 to .05 there."""
 _MICROMETRES = ("micro", "um", "\u00b5m", "\u03bcm")
 _NANOMETRES = ("nano", "nm")
 _UNSTATED = ("", "unknown", "index", "1", "dimensionless")
+_PERCENT = 1.5, 110.0
+"""What a twentieth of a spectrum in percent is above, and what it is not [%]."""
+_TEN_THOUSANDTHS = 1000.0, 12_000.0
+"""The same of reflectance times 10000: above, as reflectance times 1000 and bytes are below it."""
+_NO_DATA = np.array(
+    [-1, -9, -99, -99.9, -999, -999.9, -9999, -9999.9, -32767, -32768, 32767, 65535], np.float32
+)
+"""Numbers that programs write where there is no value."""
 _LONGEST = 1e6
 """No file states a longer wavelength: a millimetre in nm."""
 
@@ -92,6 +100,43 @@ def in_nanometres(wavelength: NDArray[np.float64], unit: str) -> tuple[NDArray[n
     return (wavelength * 1000.0, 1000.0) if highest < 100.0 else (wavelength, 1.0)
 
 
+def without_marks(
+    values: NDArray[np.float64], scale: float, meta: dict[str, Any]
+) -> NDArray[np.float64]:
+    """Values without the numbers that stand for none, where reflectance 1 is `scale`."""
+    gone = np.isin(values.astype(np.float32), _NO_DATA) & (np.abs(values) > 0.5 * scale)
+    if not gone.any():
+        return values
+    shown = " ".join(f"{number:.6g}" for number in np.unique(values[gone]))
+    note(meta, f"{gone.sum()} values of {shown} taken for missing, which they mark")
+    return np.where(gone, np.nan, values)
+
+
+def as_fractions(
+    values: NDArray[np.float64], meta: dict[str, Any], most: float = _TEN_THOUSANDTHS[1]
+) -> NDArray[np.float64]:
+    """Values [spectrum, band] of a file that states no unit, those that mark gaps missing.
+
+    Percent, and reflectance times 10000 in whole numbers, are known by numbers that every spectrum
+    has such, and become fractions; above `most` nothing does.
+    """
+    marks = np.isin(values.astype(np.float32), _NO_DATA)
+    known = np.where(marks, np.nan, values)
+    known = known[np.isfinite(known).any(axis=1)]
+    scale = 1.0
+    if known.size and np.nanmedian(known) > _PERCENT[0]:
+        high = np.nanpercentile(known, 95.0, axis=1)
+        whole = bool(np.all(np.isnan(known) | (known == np.round(known))))
+        if high.min() > _PERCENT[0] and high.max() <= _PERCENT[1]:
+            scale, words = 100.0, "percent, which"
+        elif whole and high.min() > _TEN_THOUSANDTHS[0] and high.max() <= most:
+            scale, words = 10_000.0, "reflectance times 10000, which (if they are no counts) whole"
+    values = without_marks(values, scale, meta)
+    if scale > 1.0:
+        note(meta, f"converted from {words} values up to {np.nanmax(known):.4g} are")
+    return values / scale
+
+
 def check_widths(width: NDArray[np.float64]) -> None:
     """Refuse full widths of bands that no spectrometer has.
 
@@ -128,8 +173,8 @@ def _checked(
     if shown.size and np.median(shown) > 1.5:
         raise InputError(
             f"the {what} of spectrum {name!r} must be a fraction of 0 to 1, but its median is "
-            f"{np.median(shown):.4g}; is it in percent, or digital numbers? Divide first, or write "
-            "the unit '%' in the header"
+            f"{np.median(shown):.4g}; is it in percent, or times 10000? Divide first. Counts of a "
+            "detector need those of a white reference"
         )
     bright = shown[in_windows(wavelength[finite & looked_at], (_BRIGHT,))]
     if what == "reflectance" and bright.size and np.max(bright) < _DARKEST:

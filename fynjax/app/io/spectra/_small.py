@@ -12,9 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from fynjax._core.errors import InputError
+from fynjax._core.errors import InputError, refusing
 from fynjax._core.tables import is_number
-from fynjax.app.io.spectra._record import MeasuredSpectrum, note, single_spectrum
+from fynjax.app.io.spectra._names import stated_quantity
+from fynjax.app.io.spectra._record import (
+    MeasuredSpectrum,
+    as_fractions,
+    in_nanometres,
+    note,
+    single_spectrum,
+)
 
 _BEGIN = re.compile(r"[^>]*+>{3,}+ ?Begin [^<>]*Data ?<{3,}", re.I)
 _END = re.compile(r"[^>]*+>{3,}+ ?End [^<>]*Data ?<{3,}", re.I)
@@ -69,8 +76,7 @@ def read_small_spectrometer(data: bytes, file: Path) -> MeasuredSpectrum | None:
 
     **Raises:** `InputError` for counts without a reference, and a file without values.
     """
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    lines = data.decode(encoding, errors="replace").splitlines()
+    lines = data.decode().splitlines()
     begin = next((i for i, line in enumerate(lines[:200]) if _BEGIN.match(line)), None)
     first = next((i for i, line in enumerate(lines[:200]) if len(_numbers(line) or ()) > 1), None)
     if begin is not None:
@@ -102,17 +108,15 @@ def read_small_spectrometer(data: bytes, file: Path) -> MeasuredSpectrum | None:
             raise InputError(f"expected numbers, but got {line.strip()!r:.60}")
     width = min(map(len, rows))
     values = np.array([row[:width] for row in rows])
-    pairs = (line.partition(":") for line in lines[:start])
-    head = {key.strip().lower(): value.strip() for key, mark, value in pairs if mark}
     meta: dict[str, Any] = {"format": f"text of {maker}"}
-    return _reflectance(file, values, roles, head, meta, above)
+    return _reflectance(file, values, roles, lines[:start], meta, above)
 
 
 def _reflectance(
     file: Path,
     values: np.ndarray,
     roles: dict[str, int],
-    head: dict[str, str],
+    head: Sequence[str],
     meta: dict[str, Any],
     above: Sequence[str],
 ) -> MeasuredSpectrum:
@@ -122,11 +126,13 @@ def _reflectance(
     processed = of_leaf[0] if of_leaf else None
     if processed is None and not roles:
         processed = 1
-    through = "transmittance" in roles or "transm" in " ".join(head.values()).lower()
+    stated = " ".join(line.partition(":")[2] for line in head).lower()
+    through = "transmittance" in roles or "transm" in stated
     shown = None if processed is None else values[:, processed]
     usable = shown is not None and np.isfinite(shown).all() and np.abs(shown).max() > 0.0
     if usable and processed is not None:
         found = values[:, processed]
+        through |= stated_quantity(head) == "transmittance"
         inside = (wavelength >= 450.0) & (wavelength <= 950.0)
         typical = float(np.median(found[inside] if inside.any() else found))
         if typical > _COUNTS_FROM:
@@ -153,6 +159,58 @@ def _reflectance(
         note(meta, f"{noise.sum()} bands below 350 nm, or without light, set to missing")
         found = np.where(noise, np.nan, found)
     return single_spectrum(file.stem, wavelength, found, meta, through)
+
+
+# -- JCAMP-DX ----------------------------------------------------------------------------------
+
+
+def read_jcamp(data: bytes, file: Path) -> MeasuredSpectrum | None:
+    """The spectrum of a JCAMP-DX file (4.24, in plain numbers); `None` where it is none.
+
+    **Arguments:** `data`: content of the file; `file`: names the spectrum.
+
+    **Raises:** `InputError` for compressed numbers, another quantity, and wavelengths in a unit
+    that is neither nm, µm nor cm-1.
+    """
+    text = data.decode()
+    if not re.match(r"\s*##TITLE=", text, re.I):
+        return None
+    parts = (part.partition("=") for part in re.sub(r"\$\$.*", "", text).split("##")[1:])
+    head = {key.strip().upper(): value.strip() for key, _, value in parts}
+    form, _, rows = next(
+        (head[key].partition("\n") for key in ("XYDATA", "XYPOINTS") if key in head), ("", "", "")
+    )
+    cells = [re.split(r"[,;\s]+", row.strip(" ,;\t\r")) for row in rows.splitlines() if row.strip()]
+    if not cells or not all(is_number(cell) for row in cells for cell in row):
+        raise InputError(
+            "expected a JCAMP-DX spectrum of plain numbers, but they are compressed or missing: "
+            "export it as text of two columns (.csv) from the instrument's program"
+        )
+    with refusing(KeyError, ValueError, words="expected a number in the head, but got {error}"):
+        scales = [float(head.get(key, 1.0)) for key in ("XFACTOR", "YFACTOR")]
+        if "++" in form:  # each row has the first wavelength, and values at equal steps
+            values = np.array([float(cell) for row in cells for cell in row[1:]])
+            wavelength = np.linspace(float(head["FIRSTX"]), float(head["LASTX"]), values.size)
+        else:
+            numbers = np.array([float(cell) for row in cells for cell in row])
+            wavelength, values = numbers[: numbers.size // 2 * 2].reshape(-1, 2).T
+            wavelength = scales[0] * wavelength
+        if (count := int(float(head.get("NPOINTS", values.size)))) != values.size:
+            raise InputError(
+                f"expected {count} values as the header says, but found {values.size}; "
+                "is the file cut short?"
+            )
+    meta: dict[str, Any] = {"format": "JCAMP-DX"}
+    unit = head.get("XUNITS", "").lower()
+    if "1/cm" in unit or "cm-1" in unit:
+        wavelength = 1e7 / wavelength
+        note(meta, "wavelengths converted from wave numbers to nm")
+    else:
+        wavelength, _ = in_nanometres(wavelength, unit)
+    quantity = stated_quantity([f"Y units: {head.get('YUNITS', '')}"])
+    values = as_fractions(scales[1] * values[None], meta)[0]
+    name = head.get("TITLE") or file.stem
+    return single_spectrum(name, wavelength, values, meta, quantity == "transmittance")
 
 
 # -- the library of the USGS -----------------------------------------------------------------
