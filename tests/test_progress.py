@@ -79,6 +79,10 @@ def test_without_a_terminal_a_stage_is_a_line_with_time_used_and_left(monkeypatc
                 advance(loss=loss)
             with stage("Render"):
                 now[0] += 200.0
+        with stage("Search", 5):  # its first step compiles
+            for took in (100.0, 40.0):
+                now[0] += took
+                advance(loss=2.0)
         advance()  # outside a stage
         with suppress(ValueError), stage("Write"):  # what failed has no time
             now[0] += 5.0
@@ -87,6 +91,9 @@ def test_without_a_terminal_a_stage_is_a_line_with_time_used_and_left(monkeypatc
         "Calibrate [plot]: 2 of 10, 2 min 40 s left  loss 4",
         "  Render: 3 min 20 s",
         "Calibrate [plot]: 4 min 20 s",
+        "Search: 1 of 5  loss 2",
+        "Search: 2 of 5, 2 min 0 s left  loss 2",
+        "Search: 2 min 20 s",
     ]
 
 

@@ -174,13 +174,14 @@ class _Lines:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._open: list[tuple[str, int | None, list[float]]] = []
-        """Name and steps of each open stage; when it began, when it last spoke, and steps done."""
+        """Name and steps of each open stage; when it last spoke, steps done, and both at the end of
+        its first step, which compiles: the time left is counted from there."""
 
     @contextmanager
     def stage(self, name: str, total: int | None) -> Iterator[None]:
         began = time.perf_counter()
         label = "  " * len(self._open) + name
-        self._open.append((label, total, [began, began, 0.0]))
+        self._open.append((label, total, [began, 0.0, began, 0.0]))
         try:
             yield
         finally:
@@ -192,14 +193,17 @@ class _Lines:
         if not self._open:
             return
         label, total, clock = self._open[-1]
-        clock[2] += n
-        (began, spoke, done), now = clock, time.perf_counter()
+        now, first = time.perf_counter(), clock[1] == 0.0
+        clock[1] += n
+        if first:
+            clock[2:] = now, clock[1]
+        spoke, done, since, before = clock
         if now - spoke < _EVERY:
             return
-        clock[1] = now
-        left = ""
-        if total is not None and 0 < done <= total:
-            left = f" of {total}, {_spell((now - began) * (total / done - 1.0))} left"
+        clock[0] = now
+        left = "" if total is None else f" of {total}"
+        if total is not None and before < done <= total:
+            left += f", {_spell((now - since) / (done - before) * (total - done))} left"
         self._say(f"{label}: {done:.0f}{left}  {_shown(info)}")
 
     def _say(self, line: str) -> None:
