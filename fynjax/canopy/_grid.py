@@ -161,13 +161,6 @@ def deposit(
     """
     if boundary not in ("periodic", "open"):
         raise InputError(f"`boundary` must be 'periodic' or 'open', but is {boundary!r}")
-    nx, ny, nz = grid.shape
-    size = n_classes * nx * ny * nz
-    if n_classes < 1 or size > _LARGEST_INDEX:
-        raise InputError(
-            f"{n_classes} classes on {nx} x {ny} x {nz} voxels are {size} values, but a grid "
-            f"must have between 1 and {_LARGEST_INDEX}; take larger voxels or fewer classes"
-        )
     _check_classes(class_index, n_classes)
 
     dtype = jnp.result_type(positions, area)
@@ -180,6 +173,13 @@ def deposit(
         for axis, count in enumerate(times)
     )
     counts = tuple(count + 2 * more for count, more in zip(grid.shape, beyond, strict=True))
+    nx, ny, nz = counts
+    size = n_classes * nx * ny * nz
+    if n_classes < 1 or size > _LARGEST_INDEX:
+        raise InputError(
+            f"{n_classes} classes on {nx} x {ny} x {nz} voxels are {size} values, but a grid "
+            f"must have between 1 and {_LARGEST_INDEX}; take larger voxels or fewer classes"
+        )
     indices, shares = [], []
     for axis, (edge, boxes) in enumerate(zip(sizes, times, strict=True)):
         part = 1.0 if width is None else min(width / edge, 1.0)
@@ -195,14 +195,15 @@ def deposit(
         indices.append(pair[0])
         shares.append(pair[1])
 
-    nx, ny, nz = counts
     index, part_of_area = [], []
     amount = area.astype(dtype) / jnp.asarray(grid.voxel_volume, dtype)
-    # Flat places on [z, class, y, x]: two layers, rows and columns for each element.
-    kind = jnp.asarray(class_index, jnp.int32)
+    # Flat places on [class, z, y, x], or [z, class, y, x] where fields are widened by layers: two
+    # layers, rows and columns for each element.
+    kind, wide = jnp.asarray(class_index, jnp.int32), max(times) > 1
     for z, z_part in zip(indices[2], shares[2], strict=True):
+        layer = z * n_classes + kind if wide else kind * nz + z
         for y, y_part in zip(indices[1], shares[1], strict=True):
-            row = ((z * n_classes + kind) * ny + y) * nx
+            row = (layer * ny + y) * nx
             row_part = amount * z_part * y_part
             for x, x_part in zip(indices[0], shares[0], strict=True):
                 index.append(row + x)
@@ -212,10 +213,10 @@ def deposit(
     density = density.at[jnp.stack(index, axis=-1).ravel()].add(
         jnp.stack(part_of_area, axis=-1).ravel(), mode="drop"
     )
-    density = density.reshape(nz, n_classes, ny, nx)
-    if max(times) > 1:
-        density = _widen(density, times, beyond)
-    return jnp.swapaxes(density, 0, 1)
+    if not wide:
+        return density.reshape(n_classes, nz, ny, nx)
+    widened = _widen(density.reshape(nz, n_classes, ny, nx), times, beyond)
+    return jnp.swapaxes(widened, 0, 1)
 
 
 def _boxes(width: float | None, size: float) -> int:

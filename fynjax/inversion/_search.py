@@ -59,8 +59,8 @@ from fynjax.scene import (
 _SPARE = 1.5
 """Plants for which sites are made where a species has too few, as a factor on those asked for."""
 _MOST_ROWS = 24
-"""Slopes of an image's statistics are taken along so many directions at most, of the frames of a
-flight together along twice as many."""
+"""Slopes of an image's statistics are taken along so many directions of the parameters at most, of
+the frames of a flight together along twice as many; and along those of factors."""
 _FEW = 100
 """Coordinates by which slopes of all statistics of a flight are taken, at most."""
 _PRIOR_DRAWS = 60

@@ -175,12 +175,17 @@ def _factor(factor_at: FactorAt | None, u: Array) -> Array | None:
 
 
 class Directions(eqx.Module):
-    """Combinations of statistics that tell most of the parameters, so that derivatives need not be
-    taken of every statistic."""
+    """Combinations of statistics that tell most of the parameters, and of the factors of bands, so
+    that derivatives need not be taken of every statistic."""
 
     rows: Float[Array, "direction statistic"]
     back: Float[Array, "statistic direction"]
     """Change of the statistics by a unit of each combination."""
+
+
+_TOLD = 0.3
+"""Least standard deviation of a factor's effect, over that with the errors, at which a direction is
+kept for it: of what is known ten times as well beforehand a view tells nothing."""
 
 
 def informative_directions(
@@ -198,18 +203,17 @@ def informative_directions(
 
     **Arguments:** `draws`, statistics of draws of the prior of the parameters; `covariance` of the
     errors, without factors; `by_factors`, what statistics change by a unit of each factor; `most`
-    directions, at most half of which are of factors.
+    directions of the parameters, to which come those of the factors of which the statistics tell.
     """
     # Whitened by the errors, so that the leading singular vectors tell most against noise.
     root = np.linalg.cholesky(covariance + by_factors @ by_factors.T)
     of_factors, size, _ = np.linalg.svd(np.linalg.solve(root, by_factors), full_matrices=False)
-    of_factors = of_factors[:, size > 1e-6 * size.max(initial=0.0)][:, : most // 2]
+    of_factors = of_factors[:, size > _TOLD]
     whitened = np.linalg.solve(root, (draws - draws.mean(axis=0)).T)
     whitened = whitened - of_factors @ (of_factors.T @ whitened)
     vectors, _, _ = np.linalg.svd(whitened, full_matrices=False)
-    both = np.concatenate([of_factors, vectors[:, : most - of_factors.shape[1]]], axis=1)
-    chosen, _ = np.linalg.qr(both)
-    # rows @ covariance @ rows.T and rows @ back are identities.
+    chosen, _ = np.linalg.qr(np.concatenate([of_factors, vectors[:, :most]], axis=1))
+    # rows @ back is the identity; rows @ covariance @ rows.T too, with that by factors.
     rows = np.linalg.solve(root.T, chosen).T
     return Directions(jnp.asarray(rows), jnp.asarray(root @ chosen))
 

@@ -86,7 +86,7 @@ def test_doubts_of_kept_fits_are_said_every_time(tmp_path: Path, cache: Path) ->
     rows = "wavelength,reflectance\n"
     for name in ("ERICA.TETRALIX-005.csv", "calluna vulgaris.csv"):
         (tmp_path / "spectra" / name).write_text(rows + line)
-    (tmp_path / "spectra" / "Erica_02.csv").write_text(rows + "500,700\n600,800\n700,5000\n")
+    (tmp_path / "spectra" / "Erica_02.csv").write_text(rows + "500,700.5\n600,800\n700,50000\n")
     said = []
     for _ in range(2):
         with warnings.catch_warnings(record=True) as caught:
