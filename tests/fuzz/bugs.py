@@ -77,8 +77,8 @@ BUGS = {
     ),
     "impossible values of a cube are data": Bug(
         "app/io/raster/_blocks.py",
-        "values = np.where(np.abs(values) > 1e6, np.nan, values)",
-        "values = np.array(values)",
+        "(np.abs(values) > 1e6) | (values < low) | (values > high), np.nan, values)",
+        "np.zeros_like(values, bool), np.nan, values)",
         ("blocks-zarr", "blocks-netcdf"),
     ),
     "columns of a cloud by their order": Bug(
@@ -89,8 +89,8 @@ BUGS = {
     ),
     "an ignore value after scaling": Bug(
         "app/io/spectra/_envi.py",
-        "np.where(values == ignore, np.nan, values / scale)",
-        "np.where(values / scale == ignore, np.nan, values / scale)",
+        "np.where((values == ignore) | ~good, np.nan, values)",
+        "np.where((values / scale == ignore) | ~good, np.nan, values)",
         ("envi-library",),
     ),
     "swapped axes of a cloud": Bug(

@@ -138,6 +138,8 @@ def stretch(crs: CRS, x: float, y: float) -> tuple[float, str]:
     except (pyproj.exceptions.ProjError, pyproj.exceptions.CRSError):
         return 1.0, ""
     factor = float(np.sqrt(areal))
+    if not np.isfinite([factor, longitude, latitude]).all():  # a place that is none
+        return 1.0, ""
     zone = utm_zone(longitude, latitude)
     return (factor if abs(factor - 1.0) > 0.01 else 1.0), zone
 
