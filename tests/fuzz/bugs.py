@@ -101,8 +101,8 @@ BUGS = {
     ),
     "rows of an image for columns": Bug(
         "app/io/raster/_blocks.py",
-        "*(d for d in values.dims if d != spectral), spectral",
-        "*[d for d in values.dims if d != spectral][::-1], spectral",
+        "*ordered_axes(values, [data, *around])",
+        "*[ordered_axes(values, [data, *around])[i] for i in (1, 0, 2)]",
         ("blocks-netcdf",),
     ),
     "rows of an image the other way up": Bug(
