@@ -413,7 +413,8 @@ _FOOT = re.compile(r"(?<![a-z])(us)?[ _]?(survey[ _])?(ft|feet|foot)[ _]?(us?)?(
 
 
 def _geo_keys(record: Any, records: list[Any]) -> dict[int, Any]:
-    """What the keys of a GeoKeyDirectory say: codes, numbers and texts by key."""
+    """Values of a GeoKeyDirectory, which states a LAS file's reference system: a code, number or
+    text by the number of its key."""
     keys: dict[int, Any] = {}
     for key in record.geo_keys:
         if key.tiff_tag_location == 0:

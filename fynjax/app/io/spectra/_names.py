@@ -91,8 +91,8 @@ _USUAL = {0, 1, 2, 3, 5, 10, 16, 20, 25, 50, 75, 80, 84, 90, 95, 97, 98, 99, 100
 
 
 def other_quantity(name: str) -> str:
-    """What a name says its values are, where it is neither reflectance nor transmittance, such as
-    "radiance"; else empty."""
+    """Quantity that the `name` of a column or file states for its values, where it is neither
+    reflectance nor transmittance, such as "radiance"; else empty."""
     plain = re.sub(r"[_.\-]+", " ", name).strip()
     ending = re.search(r"(?<=\.)(rad|irr)$", name, re.I)  # as ASD's program calls columns
     found = _OTHER_QUANTITY.search(plain) or _RADIANT.fullmatch(plain) or ending
@@ -100,8 +100,8 @@ def other_quantity(name: str) -> str:
 
 
 def stated_quantity(lines: Iterable[str]) -> str:
-    """What the lines above the numbers say that these are: "reflectance", "transmittance" or
-    empty, where they say nothing.
+    """Quantity of a file's numbers by the lines above them: "reflectance", "transmittance" or
+    empty, where they state none.
 
     **Raises:** `InputError` for another quantity, such as radiance, where none says reflectance.
     """
