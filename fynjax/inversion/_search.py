@@ -400,7 +400,7 @@ class PlotSearch:
         return Subspace(tuple(own.rows for own in parts), tuple(own.back for own in parts))
 
     def _by_factors(self, place: SearchPlace) -> Float[np.ndarray, "statistic coordinate"]:
-        """Slopes of all statistics at `place` by the whitened coordinates of the factors of bands."""
+        """Slopes of all statistics at `place` by whitened coordinates of the factors of bands."""
         slopes, images = [], iter(place.images)
         for view in self.views:
             if isinstance(view, BandView):
