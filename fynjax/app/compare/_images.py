@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import binary_opening, binary_propagation
 
 from fynjax._core.errors import InputError, names_file
 from fynjax.app.io.raster import RAW_COUNTS, RELATIVE_TAG, RasterFile, check_reflectance, open_image
@@ -213,12 +214,13 @@ def read_drone_image(
 
 
 def _holes(values: Float[np.ndarray, "band y x"], path: Path) -> Bool[np.ndarray, "y x"]:
-    """Pixels that are 0 in a band although another has half its median at least: no shadow, but a
-    band that the mosaic has not there."""
+    """Pixels that are 0 in a band, in patches of 3 x 3 at least, although another has half its
+    median at least: no shadow or dark leaf, but a band that the mosaic has not there."""
     with np.errstate(invalid="ignore"), warnings.catch_warnings(action="ignore"):
         half = 0.5 * np.nanmedian(np.where(values == 0.0, np.nan, values), axis=(1, 2))
-        lit = (values >= half[:, None, None]) & (values > 0.0)
-        holes = (values == 0.0).any(axis=0) & lit.any(axis=0)
+        lit = ((values >= half[:, None, None]) & (values > 0.0)).any(axis=0)
+    zero, square = (values == 0.0) & lit, np.ones((1, 3, 3))
+    holes = binary_propagation(binary_opening(zero, square), square, zero).any(axis=0)
     if holes.any():
         warnings.warn(
             f"{path}: {int(holes.sum())} pixels are 0 in one band and bright in another: taken for "
