@@ -74,7 +74,7 @@ def test_a_cover_that_is_lost_at_a_pixel_is_said_to_be(values, detected, lost):
     assert limits["detected"].tolist() == [detected]
     assert limits["lost_from_gsd_m"].tolist() == pytest.approx([lost], nan_ok=True)
     (line,) = _limit_sentences(bounds(values), limits)
-    numbers = [int(n) for n in re.findall(r"(\d+) (?:exceed|only|not)", line)]
+    numbers = [int(n) for n in re.findall(r"(\d+) (?:are told|only|not)", line)]
     places = ["at every pixel", "at fine pixels", "at no pixel"]
     assert numbers == [place == detected for place in places]
 
