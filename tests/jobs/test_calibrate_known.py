@@ -100,10 +100,12 @@ def test_slopes_of_pixels_are_those_of_differences(twin):
     image, slopes = model.slopes(jnp.asarray(values))
     weight = np.random.default_rng(0).normal(size=image.shape)
     for i, name in enumerate(space.names):
-        step = 0.0005 * values[i] * np.eye(len(values))[i]  # few elements change their voxel
+        # Elements that move should not change their voxel; light alone is rounded to 32 bits.
+        by, within = (0.0005, 0.02) if name.endswith("diameter") else (0.01, 0.003)
+        step = by * values[i] * np.eye(len(values))[i]
         up, down = (np.asarray(model.image(jnp.asarray(values + s)), float) for s in (step, -step))
         difference = np.sum(weight * (up - down)) / (2.0 * step[i])
-        assert np.sum(weight * slopes[i]) == pytest.approx(difference, rel=0.02), name
+        assert np.sum(weight * slopes[i]) == pytest.approx(difference, rel=within), name
 
 
 def test_images_that_do_not_fit_are_refused(twin, tmp_path):
