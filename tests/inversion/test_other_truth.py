@@ -50,12 +50,11 @@ def test_the_stand_lies_in_its_intervals(plot):
 
 @pytest.mark.study
 def test_a_model_and_a_camera_that_are_believed_do_not_explain_it(plot):
-    """With gains of 1 % and no error of the model the stand lies outside, and the misfit says so.
-    A calibration of its own: some 20 s more."""
+    """With gains of 1 % and no error of the model the misfit says so, and what is left widens the
+    intervals, so that they hold the stand; leaf area is farther off. A calibration of its own: some
+    20 s more."""
     what, leaves, found = plot
     believed = fit(what, leaves.image, Gains(0.01), error="none", settings=QUICK)
     assert chi2.sf(believed.misfit, believed.degrees) < 1e-4
     assert believed.misfit > 1.5 * found.misfit
-    away, half = off(believed, leaves)
-    assert (np.abs(away) > half).any()
-    assert np.abs(away[0]) > 1.5 * np.abs(off(found, leaves)[0][0])
+    assert np.abs(off(believed, leaves)[0][0]) > 1.5 * np.abs(off(found, leaves)[0][0])

@@ -1129,7 +1129,7 @@ def test_a_twin_of_three_sensors_is_reproduced():
         np.asarray(found.data.whiten(s - data.value))
         for s in (found.statistics_before, found.statistics_after)
     )
-    assert np.sqrt(np.mean(before**2)) > 2.0
+    assert np.sqrt(np.mean(before**2)) > 1.5  # 12 combinations, of factors of bands too
     assert np.sqrt(np.mean(after**2)) < 0.7
     assert found.probability > 0.05
     i = found.fit.names.index("species.Erica irregularis.height")
