@@ -171,7 +171,9 @@ leaves at large (`LEAF_PARAMETERS`) |
         own = own.select(np.flatnonzero(use).tolist())
     else:
         bins = mean_bins(centre[use])
-        centre, value, ground, error = (bins @ a[use] for a in (centre, value, ground, error))
+        centre, value, ground, error = (
+            binned(bins, a[use]) for a in (centre, value, ground, error)
+        )
     view = CanopyView(sun_zenith, view_zenith, relative_azimuth, sky_share, hot_spot)
     model, space = canopy_model(own, centre, view, None if soil is None else ground, known)
     names = tuple(f"{at:.0f} nm" for at in centre)
@@ -249,6 +251,7 @@ def bands_and_centres(bands: Any) -> tuple[Any, Float[np.ndarray, " band"]]:
 
 def _checked(known: Mapping[str, float], refused: tuple[str, ...]) -> dict[str, float]:
     """Values of what is known, each within its bounds."""
+    found = {}
     for name, number in known.items():
         if name not in _UNITS or name in refused:
             own = [other for other in _UNITS if other not in refused]
@@ -258,12 +261,16 @@ def _checked(known: Mapping[str, float], refused: tuple[str, ...]) -> dict[str, 
                 f"{', '.join(own)}{hint}"
             )
         low, high = _bounds(name)
+        try:
+            found[name] = number = float(number)
+        except (TypeError, ValueError):
+            raise InputError(f"`known` must have numbers, but {name} is {number!r}") from None
         if not low <= number <= high:
             raise InputError(
                 f"`known` must have {name} from {low:g} to {high:g} [{_UNITS[name]}], but it is "
                 f"{number:g}"
             )
-    return dict(known)
+    return found
 
 
 def _bounds(name: str) -> tuple[float, float]:
@@ -291,6 +298,11 @@ def given_by_band(centre: np.ndarray, **given: Any) -> list[np.ndarray]:
             )
         arrays.append(array)
     return arrays
+
+
+def binned(bins: np.ndarray, values: np.ndarray) -> Float[np.ndarray, " bin"]:
+    """Means of values in bins; NaN where one of its own is."""
+    return np.where(bins > 0.0, bins * values, 0.0).sum(axis=1)
 
 
 def mean_bins(wavelength: np.ndarray) -> Float[np.ndarray, "bin wavelength"]:

@@ -17,6 +17,7 @@ from fynjax.inversion._canopy import (
     CanopyTable,
     CanopyView,
     bands_and_centres,
+    binned,
     canopy_model,
     given_by_band,
     mean_bins,
@@ -84,6 +85,43 @@ def fit_canopies(
         image = xr.open_dataset("s2.nc").reflectance.stack(pixel=("y", "x")).values.T
         fits = fit_canopies(fx.sensor("sentinel_2a"), image, CanopyView(35.0))
     """
+    ready, values, seen = _ready(bands, reflectance, view, soil, known)
+    model, space = ready
+    model = eqx.tree_at(
+        lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None
+    )
+    count = len(space.names)
+    rows = np.full((len(values), 4 * count + 2), np.nan)
+    filled = seen.sum(axis=1) >= _FEWEST
+    points = np.concatenate([np.where(seen, values, 0.0), seen], axis=1)[filled]
+    fit = _Fit(model, space, max_steps)
+    batches = evaluate_batches(fit, points, batch=min(_AT_ONCE, len(points)))
+    total = -(-len(points) // _AT_ONCE)
+    rows[filled] = np.concatenate([*track(batches, "Fit pixels", total=total)])
+    estimate, lower, upper, constrained = np.split(rows[:, : 4 * count], 4, axis=1)
+    return CanopyFits(
+        space.names, estimate, lower, upper, constrained, rows[:, -2] == 1.0, rows[:, -1]
+    )
+
+
+@double_precision
+def check_canopies(
+    bands: Any,
+    reflectance: Float[np.ndarray, "pixel band"],
+    view: CanopyView,
+    *,
+    soil: Float[np.ndarray, " band"] | float | None = None,
+    known: Mapping[str, float] | None = None,
+) -> None:
+    """Refuse at once what `fit_canopies` would refuse of these."""
+    _ready(bands, reflectance, view, soil, known)
+
+
+def _ready(
+    bands: Any, reflectance: Any, view: CanopyView, soil: Any, known: Mapping[str, float] | None
+) -> tuple[tuple[Any, ParameterSpace], np.ndarray, np.ndarray]:
+    """The model of a pixel and its space, the values that are fitted, and which of them there
+    are."""
     own, centre = bands_and_centres(bands)
     values = np.asarray(reflectance, float)
     if values.ndim != 2 or values.shape[1] != centre.size:
@@ -104,25 +142,10 @@ def fit_canopies(
         with np.errstate(invalid="ignore", divide="ignore"):
             values = np.where(seen, values, 0.0) @ bins.T / share
         centre, seen = bins @ centre, share > 0.0
-        ground = None if ground is None else bins @ ground
-    filled = seen.sum(axis=1) >= _FEWEST
-    if not filled.any():
+        ground = None if ground is None else binned(bins, ground)
+    if not (seen.sum(axis=1) >= _FEWEST).any():
         raise InputError("some pixel must have a reflectance in three bands, but none has")
-    model, space = canopy_model(own, centre, view, ground, known)  # refuses before the table
-    model = eqx.tree_at(
-        lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None
-    )
-    count = len(space.names)
-    rows = np.full((len(values), 4 * count + 2), np.nan)
-    points = np.concatenate([np.where(seen, values, 0.0), seen], axis=1)[filled]
-    fit = _Fit(model, space, max_steps)
-    batches = evaluate_batches(fit, points, batch=min(_AT_ONCE, len(points)))
-    total = -(-len(points) // _AT_ONCE)
-    rows[filled] = np.concatenate([*track(batches, "Fit pixels", total=total)])
-    estimate, lower, upper, constrained = np.split(rows[:, : 4 * count], 4, axis=1)
-    return CanopyFits(
-        space.names, estimate, lower, upper, constrained, rows[:, -2] == 1.0, rows[:, -1]
-    )
+    return canopy_model(own, centre, view, ground, known), values, seen
 
 
 class _Fit(eqx.Module):

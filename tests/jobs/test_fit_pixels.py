@@ -10,6 +10,7 @@ import xarray as xr
 
 import fynjax as fx
 from fynjax import jobs
+from fynjax.app.io.raster import RELATIVE_TAG, write_geotiff
 from fynjax.app.jobs._canopy_input import read_canopy_pixels
 from fynjax.errors import InputError
 from fynjax.inversion import CanopyView
@@ -74,11 +75,80 @@ def test_collection_2_of_landsat(tmp_path):
         read_canopy_pixels(tmp_path / "b.csv", fx.sensor("sentinel_2a"))
 
 
-@pytest.mark.parametrize(("offset", "said"), [(0.0, False), (1000.0, True)])
-def test_an_offset_of_sentinel_2_is_told(offset, said, tmp_path):
-    table(np.round(1e4 * SPECTRA + offset)).to_csv(tmp_path / "p.csv", index=False)
-    words = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a")).said
-    assert ("offset of 1000" in " ".join(words)) == said
+@pytest.mark.parametrize("scale", [1.0, 100.0, 1e4])
+@pytest.mark.parametrize("sensor", ["sentinel_2a", None])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_an_offset_of_sentinel_2_is_told(offset, sensor, scale, tmp_path):
+    names = NAMES if sensor else list(PEERS.columns[9:])
+    table(scale * (SPECTRA + offset), names).to_csv(tmp_path / "p.csv", index=False)
+    words = read_canopy_pixels(tmp_path / "p.csv", sensor and fx.sensor(sensor)).said
+    assert ("offset of 1000" in " ".join(words)) == (offset > 0.0)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_wavelengths_of_a_file_count_more_than_names_that_only_count(unit, tmp_path):
+    seen, middle = SPECTRA[:4, 1:].reshape(2, 2, 10), PEERS.columns[10:].astype(float)
+    image = xr.Dataset(
+        {"reflectance": (("y", "x", "band"), seen)},
+        {"band": [f"Band {i + 1}" for i in range(10)],
+         "wavelength": ("band", unit * middle, {"units": "nm" if unit == 1.0 else "um"})},
+    )  # fmt: skip
+    image.to_netcdf(tmp_path / "i.nc")
+    read = read_canopy_pixels(tmp_path / "i.nc", fx.sensor("sentinel_2a"))
+    assert read.bands.names == ("B2", "B3", "B4", "B5", "B6", "B7", "B8", "B8A", "B11", "B12")
+    np.testing.assert_allclose(read.reflectance, SPECTRA[:4, 1:], rtol=1e-6)
+    image.drop_vars("wavelength").to_netcdf(tmp_path / "n.nc")
+    with pytest.raises(InputError, match="Band 1 to Band 10 only count"):
+        read_canopy_pixels(tmp_path / "n.nc", fx.sensor("sentinel_2a"))
+
+
+def test_the_wavelength_nearest_to_a_band_is_taken_and_a_spectrum_is_refused(tmp_path):
+    names = ["645", "663", "560", "865"]
+    table(SPECTRA[:, :4], names).to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    assert read.bands.names == ("B3", "B4", "B8A")
+    np.testing.assert_allclose(read.reflectance, SPECTRA[:, [2, 1, 3]])
+    fine = [str(nm) for nm in range(400, 1000, 10)]
+    table(np.repeat(SPECTRA[:, :1], 60, axis=1), fine).to_csv(tmp_path / "s.csv", index=False)
+    with pytest.raises(InputError, match=r"wavelengths are within one of them.*Leave the sensor"):
+        read_canopy_pixels(tmp_path / "s.csv", fx.sensor("sentinel_2a"))
+
+
+def test_radiance_is_refused_by_its_line_of_oxygen_and_by_what_the_file_says(tmp_path):
+    nm = np.arange(400.0, 1000.0, 5.0)
+    seen = np.where(nm > 700.0, 30.0, 3.0) * np.where(np.abs(nm - 761.0) < 3.0, 0.5, 1.0)
+    names = [f"{at:g}" for at in nm]
+    for scale in (1.0, 0.01):
+        table(scale * seen[None], names).to_csv(tmp_path / "p.csv", index=False)
+        with pytest.raises(InputError, match=r"at 761 nm, where oxygen absorbs, there is 0\.50"):
+            read_canopy_pixels(tmp_path / "p.csv", None)
+    level = np.where(nm > 700.0, 30.0, 3.0)
+    table(level[None], names).to_csv(tmp_path / "q.csv", index=False)
+    assert "Percent, by their numbers." in read_canopy_pixels(tmp_path / "q.csv", None).said
+    cube = {"reflectance": (("y", "x", "band"), seen[None, None])}
+    image = xr.Dataset(cube, {"wavelength": ("band", nm)})
+    image["reflectance"].attrs["units"] = "W m-2 sr-1 um-1"
+    image.to_netcdf(tmp_path / "i.nc")
+    with pytest.raises(InputError, match="says that it is radiance: W m-2"):
+        read_canopy_pixels(tmp_path / "i.nc", None)
+
+
+def test_azimuths_of_sun_and_view_are_those_of_one_another(tmp_path):
+    frame = table(sun_zenith=30.0, sun_azimuth=300.0, view_azimuth=100.0)
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    assert (read.angles["relative_azimuth"] == -200.0).all()
+    assert "azimuth" not in " ".join(read.said)
+
+
+def test_reflectance_up_to_a_factor_is_doubted(tmp_path):
+    path = tmp_path / "i.tif"
+    write_geotiff(
+        path, SPECTRA.T.reshape(11, 2, 4), NAMES, pixel_m=10.0,
+        tags={RELATIVE_TAG: "Reflectance up to one factor"},
+    )  # fmt: skip
+    said = read_canopy_pixels(path, fx.sensor("sentinel_2a")).said
+    assert said[-1].startswith("Reflectance up to one factor. Traits")
 
 
 @pytest.mark.parametrize(
@@ -197,7 +267,11 @@ def test_traits_of_a_table_and_of_an_image(quick, tmp_path):
         ({"sensor": None}, "--sensor sentinel_2a"),
         ({"sensor": "mavic_3m", "names": [f"x{i}" for i in range(11)]}, "three bands of mavic_3m"),
         ({"sun_zenith": None}, "zenith angle of the sun"),
+        ({"sun_zenith": 0.61}, "0.61 looks like radians"),
+        ({"names": ["sun_zenith [rad]", *NAMES[1:]], "sun_zenith": None}, "zenith in degrees"),
+        ({"relative_azimuth": np.inf}, "finite angles of every pixel"),
         ({"known": ["leaf_angle"]}, "NAME=NUMBER"),
+        ({"known": ["leaf_angle=57", "leaf_angle=40"]}, "one value of leaf_angle"),
         ({"known": ["lai=3"]}, "no parameter 'lai'"),
         ({"factor": 1e6}, "radiance, or counts"),
     ],
@@ -214,6 +288,8 @@ def test_soils_that_do_not_cover_the_bands_and_empty_pixels_are_refused(tmp_path
     frame = table()
     frame.to_csv(tmp_path / "p.csv", index=False)
     given = {"sensor": "sentinel_2a", "sun_zenith": 35.0}
+    with jobs.dry_run(), pytest.raises(InputError, match="no parameter 'lai'"):
+        jobs.fit_pixels(tmp_path / "p.csv", tmp_path / "o", known=["lai=3"], **given)
     pd.DataFrame({"wavelength": [400, 700, 1000], "soil": [0.1, 0.2, 0.3]}).to_csv(
         tmp_path / "soil.csv", index=False
     )

@@ -10,13 +10,15 @@ from jaxtyping import Float
 from rasterio import Affine
 
 from fynjax._core.errors import InputError, did_you_mean, in_file
-from fynjax.app.io.raster import open_blocks
+from fynjax.app.io.raster import RELATIVE_TAG, open_blocks
 from fynjax.app.io.text import open_table
 from fynjax.metrics import BAND_TERMS
 from fynjax.sensors import BandSet, Sensor
 
 ANGLES = ("sun_zenith", "view_zenith", "relative_azimuth")
 """Columns that say how a pixel is lit and seen [degrees]."""
+_AZIMUTHS = "sun_azimuth", "view_azimuth"
+"""Columns whose difference is the last of them."""
 _TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".tab")
 _BAND = re.compile(r"(?:sr[_ .]?)?b(?:and)?[_ .]?0*(\d+a?)", re.I)
 _WAVELENGTH = re.compile(
@@ -33,8 +35,13 @@ _NEAR = 780.0, 1300.0
 """Near infrared, where canopies are brightest [nm]."""
 _DARKEST, _BRIGHTEST = 0.08, 0.75
 """What the brightest canopies of an image reflect there at least, and at most [-]."""
+_PERCENT = "Percent, by their numbers."
 _LEAST_STORED = 6000.0
 """Below what stands there for a reflectance of 0, 7273."""
+_OFFSET = 0.1
+"""What Sentinel-2's numbers have added to reflectance since 2022 [-]."""
+_OXYGEN = (748.0, 753.0), (759.5, 763.5), 0.8
+"""Beside and in the line of oxygen [nm]; below this share of what is beside it, it is radiance."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +82,21 @@ def _table(path: Path, sensor: Sensor | None) -> CanopyPixels:
     table = open_table(path, "a table of pixels")
     places, bands, words = _places(table.names, None, sensor)
     asked = {_plain(name): i for i, name in enumerate(table.names)}
-    angles = {name: asked[name] for name in ANGLES if name in asked}
+    both = ANGLES[2] not in asked and set(_AZIMUTHS) <= set(asked)
+    angles = {n: asked[n] for n in (*ANGLES, *_AZIMUTHS * both) if n in asked}
+    for name, i in angles.items():
+        if re.search(r"[(\[]\s*rad", table.names[i], re.I):
+            raise InputError(f"expected {name} in degrees, but its column is {table.names[i]!r}")
     numbers = [*places, *angles.values()]
     rest = [i for i in range(table.width) if i not in numbers]
     frame = table.columns(numbers, rest, missing=("", "na", "nan", "none", "null"))
     names = [table.names[i] for i in places]
     values, said = _scaled(frame[places].to_numpy(float), names, sensor)
-    said += _doubts(values, bands)
+    said += _doubts(values, bands, said)
     notes = frame[rest].set_axis([table.names[i] or "row" for i in rest], axis=1)
     seen = frame[list(angles.values())].set_axis(list(angles), axis=1)
+    if both:
+        seen[ANGLES[2]] = seen[_AZIMUTHS[1]] - seen[_AZIMUTHS[0]]
     return CanopyPixels(bands, values, [words, *said], notes, seen if angles else None)
 
 
@@ -104,7 +117,9 @@ def _image(path: Path, sensor: Sensor | None) -> CanopyPixels:
         ]
         values = np.concatenate(parts).reshape(-1, len(places)).astype(float)
         values, said = _scaled(values, [cube.names[i] for i in places], sensor)
-        said += _doubts(values, bands)
+        said += _doubts(values, bands, said)
+        if doubt := getattr(cube.source, "tags", {}).get(RELATIVE_TAG):
+            said.append(f"{doubt}. Traits of it are wrong by more than their intervals.")
         return CanopyPixels(
             bands, values, [words, *said],
             shape=cube.shape, transform=cube.transform, crs=cube.crs,
@@ -116,20 +131,30 @@ def _places(
 ) -> tuple[list[int], BandSet | np.ndarray, str]:
     """Columns that are bands, what bands they are, and that in words."""
     if sensor is not None:
-        found = {}
+        found, apart = {}, {}
         if stated is None or np.isnan(stated).all():
             stated = _wavelengths(names)
+            _check_no_count(names, sensor)
+        near = [_nearest(float(at), sensor.bands) for at in stated]
         for i, name in enumerate(names):
-            band = _band_of(name, sensor.bands)
-            if band is None and np.isfinite(stated[i]):
-                band = _nearest(float(stated[i]), sensor.bands)
-            if band is not None and band not in found:
-                found[band] = i
+            band, off = _band_of(name, sensor.bands), 0.0
+            if np.isfinite(stated[i]) and band != near[i]:  # names may only count
+                off = np.inf if near[i] is None else abs(sensor.bands.centre[near[i]] - stated[i])
+                band = near[i]
+            if band is not None and off < apart.get(band, np.inf):
+                found[band], apart[band] = i, off
         order = sorted(found)
+        if (most := max(map(near.count, order), default=0)) > 2:
+            raise InputError(
+                f"expected a column for each band of {sensor.name}, but {most} wavelengths are "
+                "within one of them, as of a spectrum. Leave the sensor out: spectra are fitted by "
+                "their wavelengths"
+            )
         if len(order) < 3:
             raise InputError(
                 f"expected at least three bands of {sensor.name} "
-                f"({', '.join(sensor.bands.names[:13])}), but of {', '.join(names[:13])} only "
+                f"({', '.join(sensor.bands.names[:13])}), but of "
+                f"{', '.join(filter(None, names[:13])) or 'bands without names'} only "
                 f"{len(order)} are. Name bands as there, as blue, green, red, nir, swir_1, or by "
                 "their wavelengths: 665"
             )
@@ -165,9 +190,25 @@ def _places(
     return order, centre, f"{words}.{_left_out(names, order)}"
 
 
+def _check_no_count(names: tuple[str, ...], sensor: Sensor) -> None:
+    """Refuse names that only count the bands of a file, where the sensor's own do not."""
+    count = [re.fullmatch(r"band[ _.]?0*(\d+)", name.strip(), re.I) for name in names]
+    number = [f"B{m[1]}" for m in count if m]
+    in_order = [f"B{i + 1}" for i in range(len(number))]
+    own = [name for name in sensor.bands.names if re.match(r"B\d", name)]
+    if number and number == in_order and own and own != [f"B{i + 1}" for i in range(len(own))]:
+        raise InputError(
+            f"expected names of bands of {sensor.name}, such as B2, B3, B8A, but {names[0]} to "
+            f"{names[len(number) - 1]} only count the file's bands. Name them, or state their "
+            "wavelengths in the file"
+        )
+
+
 def _left_out(names: tuple[str, ...], used: list[int]) -> str:
     """Names of the columns or bands of a file that were not taken as bands, in a sentence."""
-    rest = [n for i, n in enumerate(names) if n and i not in used and _plain(n) not in ANGLES]
+    plain = list(map(_plain, names))
+    angles = (*ANGLES, *_AZIMUTHS * (set(_AZIMUTHS) <= set(plain)))
+    rest = [n for i, n in enumerate(names) if n and i not in used and plain[i] not in angles]
     more = ", ..." if len(rest) > 13 else ""
     return f" Not used as bands: {', '.join(rest[:13])}{more}." if rest else ""
 
@@ -194,6 +235,8 @@ def _band_of(name: str, bands: BandSet) -> int | None:
 
 
 def _nearest(wavelength: float, bands: BandSet) -> int | None:
+    if not np.isfinite(wavelength):
+        return None
     apart = np.abs(np.asarray(bands.centre) - wavelength)
     place = int(np.argmin(apart))
     return place if apart[place] <= max(10.0, 0.5 * float(bands.fwhm[place])) else None
@@ -216,7 +259,7 @@ def _scaled(
     if high <= 1.5:
         return values, []
     if high <= 100.0:
-        return values / 100.0, ["Percent, by their numbers."]
+        return values / 100.0, [_PERCENT]
     low = np.quantile(known[known > 0.0], [0.01, 0.05])
     whose = "" if sensor is None else sensor.name
     if low[1] > _LEAST_STORED and high < 65536.0:
@@ -229,30 +272,47 @@ def _scaled(
         scaled = np.where(values > 0.0, values * factor + offset, np.nan)
         return scaled, [f"Landsat collection 2: numbers times {factor:g}, less {-offset:g}."]
     if high <= 2.0e4:
-        said = ["Ten thousandths, by their numbers."]
-        if whose.startswith("sentinel_2") and low[0] >= 1000.0:
-            said.append(
-                "Hardly any is below 1000: is Sentinel-2's offset of 1000 (baseline 04.00, since "
-                "2022) still in them? Take it off first."
-            )
-        return values / 1e4, said
+        return values / 1e4, ["Ten thousandths, by their numbers."]
     raise InputError(
         f"expected reflectance, but 5 % of the values are above {high:.4g}. Is it radiance, or "
         "counts?"
     )
 
 
-def _doubts(values: np.ndarray, bands: BandSet | np.ndarray) -> list[str]:
-    """A sentence on reflectance in the near infrared that no canopies have."""
+def _doubts(values: np.ndarray, bands: BandSet | np.ndarray, said: list[str]) -> list[str]:
+    """Sentences on an offset that is still in reflectance, and on a near infrared that no canopies
+    have.
+
+    **Raises:** `InputError` for fine bands that show the line of oxygen, as radiance does.
+    """
     centre = np.asarray(getattr(bands, "centre", bands))
+    beside, within, least = _OXYGEN
+    of_line = [values[:, (centre > low) & (centre < high)] for low, high in (beside, within)]
+    if all(np.isfinite(part).any() for part in of_line):
+        share = np.nanmedian(of_line[1]) / np.nanmedian(of_line[0])
+        if share < least:
+            raise InputError(
+                f"expected reflectance, but at 761 nm, where oxygen absorbs, there is {share:.2f} "
+                "of what is at 750 nm, as in radiance. Make reflectance of it first"
+            )
+    doubts = []
+    some = values[np.isfinite(values) & (values > 0.0)]
+    few = centre.size <= 13 and (centre < 700.0).any()
+    if few and some.size and np.quantile(some, 0.01) >= _OFFSET:
+        doubts.append(
+            "Hardly any reflectance is below 0.1: is Sentinel-2's offset of 1000 ten thousandths "
+            "(baseline 04.00, since 2022) still in it? Take it off first."
+        )
     near = values[:, (centre > _NEAR[0]) & (centre < _NEAR[1])]
     if not np.isfinite(near).any():
-        return []
+        return doubts
     high = float(np.nanquantile(near, 0.95))
-    if _DARKEST < high < _BRIGHTEST:
-        return []
+    # What is percent by its numbers alone may be radiance.
+    if (2.0 if _PERCENT in said else 1.0) * _DARKEST < high < _BRIGHTEST:
+        return doubts
     return [
+        *doubts,
         f"So read, the near infrared of the brightest pixels is {high:.2g}, but of canopies "
-        f"{_DARKEST:g} to {_BRIGHTEST:g}: are the numbers in another scale, such as thousandths or "
-        "counts? Then give fractions of 0 to 1."
+        f"{_DARKEST:g} to {_BRIGHTEST:g}: are the numbers in another scale, such as thousandths, "
+        "counts or radiance? Then give fractions of 0 to 1.",
     ]

@@ -21,6 +21,7 @@ from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
 from fynjax.inversion import CanopyFits, CanopyView, canopy_units, fit_canopies
+from fynjax.inversion._canopy_pixels import check_canopies
 
 _UNLIKE = 2.0
 """Misfit [errors] beyond which a pixel is unlike any such canopy."""
@@ -56,7 +57,7 @@ def fit_pixels(
     *,
     sun_zenith: Annotated[float, Field(ge=0, le=89)] | None = None,
     view_zenith: Annotated[float, Field(ge=0, le=89)] = 0.0,
-    relative_azimuth: float = 0.0,
+    relative_azimuth: Annotated[float, Field(ge=-360, le=360)] = 0.0,
     sky_share: Annotated[float, Field(ge=0, le=1)] = 0.0,
     sensor: str | Path | None = None,
     known: Sequence[str] = (),
@@ -75,11 +76,11 @@ def fit_pixels(
     - `sun_zenith`: zenith angle of the sun [degrees]; a table may have a column of it.
     - `view_zenith`: that of the sensor [degrees]; a table may have a column of it.
     - `relative_azimuth`: azimuth of the sensor less that of the sun [degrees]; a table may have a
-      column of it.
+      column of it, or `sun_azimuth` and `view_azimuth`.
     - `sky_share`: diffuse over total irradiance [-].
     - `sensor`: shipped sensor (sentinel_2a, landsat_8, ...) or a sensor file; wavelengths if left
       out.
-    - `known`: a value that is not to be fitted, such as leaf_angle=57; may be given again.
+    - `known`: a value that is not to be fitted, such as leaf_angle=57.
     - `soil`: table of the soil's own spectrum, whose brightness alone is fitted then.
 
     **Returns:** `FitPixelsResult`. Writes of a table `traits.csv`: its other columns, each trait
@@ -105,6 +106,8 @@ def fit_pixels(
         "relative_azimuth": relative_azimuth,
     }
     views = _views(read, stated, sky_share)
+    for view, rows in views:
+        check_canopies(read.bands, read.reflectance[rows], view, soil=ground, known=taken)
     size = f"{len(read.reflectance)} pixels"
     begin_work(
         {"traits.csv": size, "report.html": ""}
@@ -129,11 +132,13 @@ def _known(given: Sequence[str]) -> dict[str, float]:
     for one in given:
         name, _, number = one.partition("=")
         try:
-            found[name.strip()] = float(number)
+            value = float(number)
         except ValueError:
             raise InputError(
                 f"expected what is known as NAME=NUMBER, such as leaf_angle=57, but got {one!r}"
             ) from None
+        if found.setdefault(name.strip(), value) != value:
+            raise InputError(f"expected one value of {name.strip()}, but two are given")
     return found
 
 
@@ -147,6 +152,10 @@ def _views(
     filled = there.sum(axis=1) >= 3
     if not filled.any():
         raise InputError("expected pixels with reflectance in at least three bands, but none has")
+    for name in ANGLES[:2]:
+        given = np.atleast_1d(own[name] if name in own else stated[name] or 0.0)
+        if 0.0 < (most := np.nanmax(given, initial=0.0)) <= 0.5 * np.pi and most % 1.0 != 0.0:
+            raise InputError(f"expected `{name}` in degrees, but {most:g} looks like radians")
     columns = [own[name].round() if name in own else stated[name] for name in ANGLES]
     if columns[0] is None:
         raise InputError(
@@ -154,10 +163,10 @@ def _views(
             "with it, but there is neither"
         )
     angles = pd.DataFrame(dict(zip(ANGLES, columns)), index=own.index).astype(float)
-    missing = angles.isna().any(axis=1).to_numpy() & filled
+    missing = ~np.isfinite(angles).all(axis=1).to_numpy() & filled
     if missing.any():
         row = int(np.argmax(missing))
-        raise InputError(f"expected angles of every pixel, but row {row + 2} has none")
+        raise InputError(f"expected finite angles of every pixel, but row {row + 2} has none")
     places = np.flatnonzero(filled)
     groups: Any = angles[filled].groupby(list(ANGLES)).indices
     if len(groups) > _MANY_VIEWS:
@@ -193,10 +202,11 @@ def _fitted(
     return CanopyFits(parts[0].names, *joined)
 
 
-def _status(fits: CanopyFits) -> np.ndarray:
+def _status(read: CanopyPixels, fits: CanopyFits) -> np.ndarray:
     status = np.where(fits.misfit > _UNLIKE, "unlike any such canopy", "ok").astype(object)
     status[~fits.converged] = "did not converge"
-    status[np.isnan(fits.misfit)] = "fewer than three bands"
+    there = (read.reflectance >= 0.0) & (read.reflectance <= 1.0)
+    status[there.sum(axis=1) < 3] = "fewer than three bands"
     return status
 
 
@@ -205,7 +215,7 @@ def _traits(read: CanopyPixels, fits: CanopyFits) -> pd.DataFrame:
     for i, name in enumerate(fits.names):
         for kind, of in zip(_KINDS, (fits.estimate, fits.lower, fits.upper)):
             columns[f"{name}{kind}"] = of[:, i]
-    columns |= {"misfit": fits.misfit, "status": _status(fits)}
+    columns |= {"misfit": fits.misfit, "status": _status(read, fits)}
     table = pd.DataFrame(columns)
     notes = [one for one in (read.notes, read.angles) if one is not None]
     notes = [one.rename(columns=lambda n: f"{n}_given" if n in columns else n) for one in notes]
@@ -271,8 +281,8 @@ def _result(
         f"{area.unit}, typically from {low} to {high}.",
         f"The bands constrain {', '.join(constrained).replace('_', ' ') or 'none of the traits'}; "
         f"other traits are nearly those of the prior. {unlike} pixels are unlike any such canopy.",
-        "Next: look at the interval of each trait before you compare pixels, and state what you "
-        "know (--known leaf_angle=57).",
+        "Next: look at the interval of each trait before you compare pixels"
+        f"{', and state what you know (--known leaf_angle=57)' * ('leaf_angle' in main)}.",
         *read.said,
     ]
     table = pd.DataFrame([row.model_dump() for row in rows])
