@@ -85,8 +85,7 @@ def fit_canopies(
         image = xr.open_dataset("s2.nc").reflectance.stack(pixel=("y", "x")).values.T
         fits = fit_canopies(fx.sensor("sentinel_2a"), image, CanopyView(35.0))
     """
-    ready, values, seen = _ready(bands, reflectance, view, soil, known)
-    model, space = ready
+    (model, space), values, seen = check_canopies(bands, reflectance, view, soil, known)
     model = eqx.tree_at(
         lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None
     )
@@ -104,24 +103,11 @@ def fit_canopies(
     )
 
 
-@double_precision
 def check_canopies(
-    bands: Any,
-    reflectance: Float[np.ndarray, "pixel band"],
-    view: CanopyView,
-    *,
-    soil: Float[np.ndarray, " band"] | float | None = None,
-    known: Mapping[str, float] | None = None,
-) -> None:
-    """Refuse at once what `fit_canopies` would refuse of these."""
-    _ready(bands, reflectance, view, soil, known)
-
-
-def _ready(
     bands: Any, reflectance: Any, view: CanopyView, soil: Any, known: Mapping[str, float] | None
 ) -> tuple[tuple[Any, ParameterSpace], np.ndarray, np.ndarray]:
-    """The model of a pixel and its space, the values that are fitted, and which of them there
-    are."""
+    """Refuse what `fit_canopies` refuses; else the model of a pixel and its space, the values that
+    are fitted, and which of them there are."""
     own, centre = bands_and_centres(bands)
     values = np.asarray(reflectance, float)
     if values.ndim != 2 or values.shape[1] != centre.size:

@@ -393,7 +393,7 @@ def test_bounds_of_the_default_are_near_those_of_many_plantings():
     )  # fmt: skip
     ratio = np.array([a.bound / b.bound for (_, a), (_, b) in zip(few, many)])
     assert 0.8 < np.median(ratio) < 1.4
-    assert np.all((ratio > 0.15) & (ratio < 3.0))  # of a species of a dozen plants 0.2 to 0.9
+    assert np.all((ratio > 0.15) & (ratio < 3.0))  # of a species of six plants 0.2 to 0.9
 
 
 @pytest.mark.study

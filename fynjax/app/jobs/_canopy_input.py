@@ -131,7 +131,8 @@ def _places(
 ) -> tuple[list[int], BandSet | np.ndarray, str]:
     """Columns that are bands, what bands they are, and that in words."""
     if sensor is not None:
-        found, apart = {}, {}
+        found: dict[int, int] = {}
+        apart: dict[int, float] = {}
         if stated is None or np.isnan(stated).all():
             stated = _wavelengths(names)
             _check_no_count(names, sensor)
@@ -139,8 +140,8 @@ def _places(
         for i, name in enumerate(names):
             band, off = _band_of(name, sensor.bands), 0.0
             if np.isfinite(stated[i]) and band != near[i]:  # names may only count
-                off = np.inf if near[i] is None else abs(sensor.bands.centre[near[i]] - stated[i])
                 band = near[i]
+                off = abs(sensor.bands.centre[band or 0] - stated[i])
             if band is not None and off < apart.get(band, np.inf):
                 found[band], apart[band] = i, off
         order = sorted(found)

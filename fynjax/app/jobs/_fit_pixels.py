@@ -107,7 +107,7 @@ def fit_pixels(
     }
     views = _views(read, stated, sky_share)
     for view, rows in views:
-        check_canopies(read.bands, read.reflectance[rows], view, soil=ground, known=taken)
+        check_canopies(read.bands, read.reflectance[rows], view, ground, taken)
     size = f"{len(read.reflectance)} pixels"
     begin_work(
         {"traits.csv": size, "report.html": ""}
@@ -128,7 +128,7 @@ def fit_pixels(
 
 def _known(given: Sequence[str]) -> dict[str, float]:
     """Values by name."""
-    found = {}
+    found: dict[str, float] = {}
     for one in given:
         name, _, number = one.partition("=")
         try:
@@ -163,7 +163,7 @@ def _views(
             "with it, but there is neither"
         )
     angles = pd.DataFrame(dict(zip(ANGLES, columns)), index=own.index).astype(float)
-    missing = ~np.isfinite(angles).all(axis=1).to_numpy() & filled
+    missing = ~np.isfinite(angles.to_numpy()).all(axis=1) & filled
     if missing.any():
         row = int(np.argmax(missing))
         raise InputError(f"expected finite angles of every pixel, but row {row + 2} has none")
