@@ -84,7 +84,7 @@ def test_covers_are_counted_for_each_noise_and_sun():
     table = pd.concat([one, one.assign(noise=0.05, bound=[20.0, 30.0, np.inf])])
     first, second = _limit_sentences(table, limit_table(table, ["species.A.cover"]))
     assert first.startswith("4 bands, noise 1 %: of 1 covers 1 are told")
-    assert second.startswith("4 bands, noise 5 %: of 1 covers 0 exceed")
+    assert second.startswith("4 bands, noise 5 %: of 1 covers 0 are told")
     (line,) = _limit_sentences(one, limit_table(one, ["species.A.cover"]))
     assert line.startswith("4 bands: of 1 covers")
 
