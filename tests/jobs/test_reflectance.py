@@ -309,6 +309,38 @@ def test_a_capture_lies_where_it_was_taken(tmp_path: Path) -> None:
     assert flat["captures"][MAVIC_GROUND]["pixel_m"] == 0.1
 
 
+@pytest.mark.parametrize("size", [(), ("--height", "40")])
+def test_an_oblique_picture_is_not_laid_on_the_map(size, tmp_path: Path) -> None:
+    """Nor has it a pixel of one size; the capture beside it that looks down is laid there."""
+    down, aside = MAVIC_GROUND, "DJI_20261122100002_0002"
+    rho = [ground(k) for k in range(4)]
+    write_dji(tmp_path, down, rho, more=FIX | {"GimbalPitchDegree": "-89.9"})
+    write_dji(tmp_path, aside, rho, more=FIX | {"GimbalPitchDegree": "-30.0"})
+    out = tmp_path / "out"
+    summary = run(tmp_path, "--no-align", *size, "--output", out)
+    assert summary["captures"][down]["place_sd_m"] is not None
+    record = summary["captures"][aside]
+    assert (record["pixel_m"], record["place_sd_m"]) == (None, None)
+    (said,) = [text for text in summary["warnings"] if "straight down" in text]
+    assert said.startswith(f"{aside}: the camera looked up to 60 degrees away")
+    assert "fynjax frames FLIGHT --plot PLOT --images " in said
+    with rasterio.open(out / f"{aside}_reflectance.tif") as file:
+        assert file.crs is None or not file.crs.is_projected
+        assert file.shape == (120, 160)
+        assert "picture" in file.tags()
+    own = run(tmp_path, "--no-align", "--own-pixels", "--output", tmp_path / "own")
+    assert not any("straight down" in text for text in own["warnings"])
+
+
+@pytest.mark.parametrize(("roll", "aside"), [(8.0, False), (30.0, True)])
+def test_the_tilt_that_a_fixed_camera_states_counts(roll, aside, tmp_path: Path) -> None:
+    pose = f"<Camera:Pitch>1.0</Camera:Pitch><Camera:Roll>{roll}</Camera:Roll>"
+    write_rededge(tmp_path, "IMG_0001", lit(ground()), more=pose)
+    summary = run(tmp_path, "--no-align", "--height", "60", "--output", tmp_path / "out")
+    assert (summary["captures"]["IMG_0001"]["pixel_m"] is None) == aside
+    assert any("looked up to 30 degrees" in text for text in summary["warnings"]) == aside
+
+
 def test_the_raw_capture_of_the_field_has_its_ndvi(shared_data: Path, tmp_path: Path) -> None:
     """Soil 0.26, plants 0.78; its metadata have no vignetting."""
     pytest.importorskip("skimage", reason="needs the extra `analysis`")

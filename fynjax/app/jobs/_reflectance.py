@@ -38,6 +38,7 @@ from fynjax.app.jobs._reflectance_record import (
     capture_sentence,
     capture_summary,
     capture_warnings,
+    oblique_warning,
     panel_sentences,
     panel_summary,
 )
@@ -226,6 +227,7 @@ def _convert(
     flight and the size of a pixel [m], as far as they are stated, None of captures that are to stay
     on the pixels of their camera."""
     made = _Converted({}, [], [], [], [])
+    oblique: dict[str, float] = {}
     failed: InputError | None = None
     for name, paths in track([*captures.items()], "Convert"):
         capture = read_capture(name, paths)
@@ -236,7 +238,11 @@ def _convert(
             failed = problem
             made.warnings.append(f"{name} is skipped: {problem}")
             continue
-        side, spread = (None, None) if ground is None else _ground(capture, *ground)
+        side, spread = None, None
+        if ground is not None and (aside := capture.bands[0].oblique) is not None:
+            oblique[name] = aside
+        elif ground is not None:
+            side, spread = _ground(capture, *ground)
         cube, doubt = _cubes(capture, aligned, line, side)
         tags = {
             **provenance(inputs=paths),
@@ -259,6 +265,8 @@ def _convert(
         made.warnings.extend(capture_warnings(name, summary, calibration.light))
     if failed is not None and not made.captures:
         raise failed
+    if oblique:
+        made.warnings.append(oblique_warning(oblique))
     return made
 
 
@@ -426,7 +434,7 @@ def _line_of(
 
 def _place_text(side: float | None, spread: float | None) -> str:
     if side is None:
-        return "pixels: no height or size was given"
+        return "pixels of the camera"
     if spread is None:
         return "metres from the picture's corner"
     return (

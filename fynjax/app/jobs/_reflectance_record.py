@@ -154,6 +154,19 @@ def capture_warnings(name: str, summary: CaptureSummary, light: str) -> list[str
     return warnings
 
 
+def oblique_warning(tilts: Mapping[str, float]) -> str:
+    """Warning of captures by a camera that looked aside, by name its angle from the vertical
+    [degrees]."""
+    count = f" and {len(tilts) - 1} more" if len(tilts) > 1 else ""
+    return (
+        f"{next(iter(tilts))}{count}: the camera looked up to {max(tilts.values()):.0f} degrees "
+        "away from straight down, by the pictures' metadata. Such a picture cannot be laid on the "
+        "map by position and height alone, and stays on the pixels of its camera. By its pose it "
+        "is laid on the ground of a plot: fynjax frames FLIGHT --plot PLOT --images RESULTS, where "
+        "FLIGHT is the folder of the raw pictures and RESULTS that of these images"
+    )
+
+
 def _by_band(names: Sequence[str], values: Sequence[float] | NDArray[np.float64]) -> str:
     return ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values, strict=True))
 

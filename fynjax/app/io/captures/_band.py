@@ -57,6 +57,9 @@ class RawBand:
     """Corrections of the maker's that the file has no numbers for, such as 'vignetting'."""
     place: CameraPlace | None = None
     """Where the camera was, and its heading; `None` where the file does not say."""
+    oblique: float | None = None
+    """Angle of the camera's axis from the vertical [degrees], where the file states one too large
+    for the picture to be laid on the map as if the camera looked straight down."""
     panel_reflectance: float | None = None
     """Reflectance of a panel that the camera itself found by its code [-]; else `None`."""
     panel_area: NDArray[np.float64] | None = None

@@ -33,6 +33,8 @@ _BLACK_LEVEL = 0xC61A
 """Tag of a TIFF with the black level, where a Phantom 4 Multispectral has it."""
 _TILT_SD = 1.0
 """Assumed standard deviation of a gimbal's axis from the vertical [degrees]."""
+_OBLIQUE = 5.0
+"""Angle from the vertical above which a gimbal was turned on purpose [degrees]."""
 _FULL = 65520
 """Counts of a full pixel: those of a converter of 12 bits, times 16."""
 
@@ -65,6 +67,8 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
     registration = _registration(stated, counts.shape)
     lens = None if registration is None else registration.lens
     focal = _first(stated, "CalibratedFocalLength")
+    pitch = _first(stated, "GimbalPitchDegree")
+    tilt = abs(pitch[0] + 90.0) if pitch else 0.0
     utc = "".join(stated.xmp.get("UTCAtExposure", [])[:1])
     return RawBand(
         path=path,
@@ -92,7 +96,8 @@ def dji_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: Stated) 
         absolute=False,
         registration=registration,
         missing=() if vignetting else ("vignetting",),
-        place=_place(stated),
+        place=_place(stated, tilt),
+        oblique=tilt if tilt > _OBLIQUE else None,
     )
 
 
@@ -185,7 +190,7 @@ def dji_lens(stated: Stated, shape: tuple[int, ...]) -> Lens | None:
     return Lens((columns, rows), (fx, fy), (x + cx, y + cy), (k1, k2, k3), (p1, p2))
 
 
-def _place(stated: Stated) -> CameraPlace | None:
+def _place(stated: Stated, tilt: float) -> CameraPlace | None:
     latitude = _first(stated, "GpsLatitude")
     longitude = _first(stated, "GpsLongitude", "GpsLongtitude")  # a Phantom's own spelling
     heading = _first(stated, "FlightYawDegree")
@@ -198,7 +203,7 @@ def _place(stated: Stated) -> CameraPlace | None:
         latitude[0],
         longitude[0],
         heading[0],
-        _TILT_SD,
+        max(_TILT_SD, tilt),
         height[0] if height and height[0] > 0.0 else None,
         *([math.hypot(*known)] if len(known) == 2 else []),
     )

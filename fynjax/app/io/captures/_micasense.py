@@ -17,6 +17,8 @@ _PER_MICROMETRE = 1e3
 _TILT_SD = 5.0
 """Assumed standard deviation of the axis from the vertical, of a camera fixed to a drone
 [degrees]."""
+_OBLIQUE = 15.0
+"""Angle from the vertical beyond that of a drone in flight: the camera looks aside [degrees]."""
 _CONVERTER_STEP = 16
 """Counts of 16 bits are those of a converter of 12 bits, times this."""
 
@@ -43,6 +45,7 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
     pitch, length = stated.maybe_exif("FocalPlaneXResolution"), stated.maybe_exif("FocalLength")
     irradiance, tilt = _irradiance(stated)
     albedo = stated.maybe("Albedo")
+    lean = stated.tilt("Pitch", "Roll") or 0.0  # of the camera, straight down at zero
     return RawBand(
         path=path,
         counts=counts,
@@ -67,7 +70,8 @@ def micasense_band(path: Path, counts: NDArray[np.uint16], bits: int, stated: St
         irradiance=irradiance,
         irradiance_tilt=tilt,
         sensor="rededge_3",
-        place=_place(stated),
+        place=_place(stated, lean),
+        oblique=lean if lean > _OBLIQUE else None,
         panel_reflectance=None if albedo is None else float(albedo[0]),
         panel_area=_panel_area(stated),
     )
@@ -113,10 +117,10 @@ def _panel_area(stated: Stated) -> NDArray[Any] | None:
     return np.asarray(numbers, dtype=np.float64).reshape(-1, 2)
 
 
-def _place(stated: Stated) -> CameraPlace | None:
+def _place(stated: Stated, lean: float = 0.0) -> CameraPlace | None:
     """The camera's place by GPS; its heading is taken to be that of the light sensor."""
     degrees = stated.degrees()
     heading = stated.maybe("IrradianceYaw")
     if not degrees or not heading or not is_fix(*degrees):
         return None
-    return CameraPlace(*degrees, heading[0], _TILT_SD)
+    return CameraPlace(*degrees, heading[0], max(_TILT_SD, lean))
