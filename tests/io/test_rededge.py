@@ -259,6 +259,24 @@ def test_reflectance_of_a_panel(tmp_path: Path) -> None:
         panel_reflectance(str(table), capture)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("band,reflectance\nblue,0.5\nred,0.5\nnir,0.5\nBlue,0.1\n", "each band, but 'blue' has 2"),
+        (
+            "band,wavelength_nm,reflectance\nblue,,0.5\nred,,0.5\nnir,,0.5\n,475,0.2\n",
+            "every one a `wavelength_nm`, but 3 of 4 name a band",
+        ),
+    ],
+)
+def test_no_row_of_a_panels_reflectance_is_passed_over(text, message, tmp_path: Path) -> None:
+    capture = read_capture("P", write_rededge(tmp_path, "P", lit(panel_scene()[0])))
+    table = tmp_path / "panel.csv"
+    table.write_text(text)
+    with pytest.raises(InputError, match=message):
+        panel_reflectance(str(table), capture)
+
+
 def test_saturated_pixels_are_marked(tmp_path: Path) -> None:
     """With their neighbours where bands were aligned, and wherever the lens is darkest."""
     pytest.importorskip("skimage", reason="needs the extra `analysis`")

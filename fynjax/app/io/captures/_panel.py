@@ -107,6 +107,17 @@ def panel_reflectance(given: str | None, capture: Capture) -> Float[np.ndarray, 
 @names_file
 def _of_file(path: Path, capture: Capture) -> Float[np.ndarray, " band"]:
     rows = [row for _, row in read_rows(path, _PanelRow, "a panel's reflectance")]
+    named = [row.band.lower() for row in rows if row.band is not None]
+    if 0 < len(named) < len(rows):
+        raise InputError(
+            f"expected every row to name a `band`, or every one a `wavelength_nm`, but "
+            f"{len(named)} of {len(rows)} name a band. A table of bands and a spectrum in one file?"
+        )
+    if twice := [band for band in named if named.count(band) > 1]:
+        raise InputError(
+            f"expected one row for each band, but {twice[0]!r} has {named.count(twice[0])}. Of two "
+            "panels? Give each a file of its own: --panel-reflectance, once for each"
+        )
     known = {row.band.lower(): row.reflectance for row in rows if row.band is not None}
     if known:
         missing = [name for name in capture.names if name.lower() not in known]
