@@ -131,6 +131,27 @@ def test_two_panels_take_the_haze_off(tmp_path: Path) -> None:
     np.testing.assert_allclose(product(tmp_path / "one")[0], wrong, atol=6e-4, rtol=3e-3)
 
 
+def test_a_panel_and_a_capture_of_the_flight_may_have_one_name(tmp_path: Path) -> None:
+    """The camera numbers its pictures anew in each folder."""
+    before, flight = tmp_path / "0000SET", tmp_path / "0001SET"
+    before.mkdir()
+    flight.mkdir()
+    (panel, *_) = write_rededge(before, "IMG_0000", lit(panel_scene()[0]))
+    write_rededge(flight, "IMG_0000", lit(ground()))
+    write_rededge(flight, "IMG_0001", lit(ground(1)))
+    out = tmp_path / "out"
+    summary = run(flight, "--panel", panel, *PANEL[2:], "--output", out)
+    assert list(summary["captures"]) == ["IMG_0000", "IMG_0001"]
+    np.testing.assert_allclose(product(out, "IMG_0000")[0], ground(), **NEAR)
+    # A path to the same files in other words is the same capture.
+    other = flight / ".." / "0001SET" / panel.name
+    panel.replace(other)
+    for band in (2, 3):
+        (before / f"IMG_0000_{band}.tif").replace(flight / f"IMG_0000_{band}.tif")
+    summary = run(flight, "--panel", other, *PANEL[2:], "--output", tmp_path / "other")
+    assert list(summary["captures"]) == ["IMG_0001"]
+
+
 def test_what_is_refused(flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for arguments, message in (

@@ -140,8 +140,12 @@ def reflectance(
             for k, panel in enumerate(read)
         ]
     light = light or ("panel" if read else "sensor")
-    of_panels = dict.fromkeys(panel.capture.name for panel in read)
-    wanted = {name: paths for name, paths in usable.items() if name not in of_panels}
+    of_panels = {path.resolve() for panel in read for path in panel.capture.paths}
+    wanted = {
+        name: paths
+        for name, paths in usable.items()
+        if of_panels.isdisjoint(path.resolve() for path in paths)
+    }
     unlit = {} if light == "panel" else {name: dark[name] for name in wanted if name in dark}
     if unlit and len(unlit) == len(wanted):
         raise next(iter(unlit.values()))
@@ -149,7 +153,7 @@ def reflectance(
     if not wanted:
         raise InputError(
             "expected captures to convert, but there are only those of panels: "
-            f"{', '.join(of_panels)}"
+            f"{', '.join(dict.fromkeys(panel.capture.name for panel in read))}"
         )
     first = read_capture(*next(iter(wanted.items()))).bands[0]
     calibration = _calibration(read, known, light, panel_sd, light_sd, first.sensor)
@@ -359,10 +363,10 @@ def _panels(
         return []
     if panels:
         named = [same_capture(panel, captures) for panel in panels]
-        shown = {name: read_capture(name, paths) for name, paths in named}
+        shown = {paths[0]: read_capture(name, paths) for name, paths in named}
         return [
-            read_panel(shown[name], _corners(areas[k]) if areas else None)
-            for k, (name, _) in enumerate(named)
+            read_panel(shown[paths[0]], _corners(areas[k]) if areas else None)
+            for k, (_, paths) in enumerate(named)
         ]
     every = (read_capture(name, paths) for name, paths in captures.items())
     marked = [c for c in every if all(band.panel_reflectance is not None for band in c.bands)]
