@@ -110,6 +110,33 @@ def test_reflectance_by_the_light_sensor(flight: Path, tmp_path: Path, light: st
     np.testing.assert_allclose(product(tmp_path / "alone")[0], ground(), **NEAR)
 
 
+@pytest.mark.parametrize("light", ["panel", "both"])
+@pytest.mark.parametrize("marked", [True, False])
+def test_a_panel_before_and_after_the_flight_is_one(light, marked, tmp_path: Path) -> None:
+    """Its mean signal is taken, and the light's change between is said."""
+    scene, corners = panel_scene()
+    area = ",".join(f"{v:.0f}" for v in corners[0].ravel())
+    code = f"<Camera:Albedo>0.5</Camera:Albedo><Camera:ReflectArea>{area}</Camera:ReflectArea>"
+    more = {"more": code if marked else ""}
+    write_rededge(tmp_path, "IMG_0000", lit(scene), **more)
+    write_rededge(tmp_path, "IMG_0001", lit(ground()))
+    write_rededge(tmp_path, "IMG_0009", lit(scene, 0.8), light=0.8 * IRRADIANCE, **more)
+    named = [] if marked else [*PANEL[:2], "--panel", "IMG_0009", *PANEL[2:4]]
+    out = tmp_path / "out"
+    summary = run(tmp_path, *named, "--no-align", "--light", light, "--output", out)
+    assert list(summary["captures"]) == ["IMG_0001"]
+    assert [panel["capture"] for panel in summary["panels"]] == ["IMG_0000", "IMG_0009"]
+    mean = 0.9 if light == "panel" else 1.0
+    np.testing.assert_allclose(product(out)[2], ground() / mean, atol=4e-4, rtol=2e-3)
+    sd = read_cube(out / "IMG_0001_reflectance_sd.tif").values[0]
+    np.testing.assert_allclose(sd, np.hypot(0.02, 0.10) * product(out)[0][::-1], rtol=3e-3)
+    (said,) = [text for text in summary["headline"] if "pictures of one panel" in text]
+    assert ("the light changed by up to 22.2 %" in said) == (light == "panel")
+    assert ("what the light sensor says by up to 0." in said) == (light == "both")
+    warned = [text for text in summary["warnings"] if text == said]
+    assert len(warned) == (light == "panel")
+
+
 def test_two_panels_take_the_haze_off(tmp_path: Path) -> None:
     haze = np.array([9.0, 4.0, 2.0])[:, None, None]
     scene, corners = panel_scene((0.55, 0.06))

@@ -39,6 +39,7 @@ from fynjax.app.jobs._reflectance_record import (
     capture_summary,
     capture_warnings,
     oblique_warning,
+    one_panel_sentence,
     panel_sentences,
     panel_summary,
 )
@@ -56,6 +57,8 @@ from fynjax.sensors import (
 
 _SHOWN = 12
 """Captures that a page shows, at most; each has its picture as a file."""
+_CHANGED = 0.1
+"""Change of the light between pictures of one panel that is warned of [-]."""
 LIGHTS = ("panel", "sensor", "both")
 """Where the light comes from that reflectance is relative to."""
 
@@ -98,8 +101,9 @@ def reflectance(
       Multispectral or a Phantom 4 Multispectral: folders of captures, or files of bands.
     - `output`: folder of the results, made if missing.
     - `panels`: capture that shows a panel: its name, such as IMG_0000, or one of its files. The
-      same again for a second panel in it; more panels than one make an empirical line. Left out:
-      captures whose metadata say that they show one.
+      same again for a second panel in it; panels of different reflectance make an empirical line.
+      Captures of one panel, such as before and after the flight, are averaged. Left out: captures
+      whose metadata say that they show one.
     - `panel_reflectances`: reflectance of the panel: a number, one for each band in order with
       commas between, or a CSV file (band,reflectance or wavelength_nm,reflectance). Of each panel
       in the same order; one serves for all.
@@ -162,8 +166,13 @@ def reflectance(
         (_line_of(read_capture(*capture), calibration) for capture in wanted.items()),
     )
     made = _convert(run, wanted, calibration, None if own_pixels else (height, pixel), align)
-    headline = [*panel_sentences(read, known, light), *made.headline]
+    headline = panel_sentences(read, known, light)
     warnings = [f"{name} is skipped: {error}" for name, error in (skipped | unlit).items()]
+    if calibration.apart is not None:
+        headline.append(one_panel_sentence(read, light, calibration.apart))
+        if np.max(calibration.apart) > _CHANGED:
+            warnings.append(headline[-1])
+    headline += made.headline
     warnings += made.warnings
     if not (first.absolute or calibration.line is not None):
         warnings.append(RELATIVE_REFLECTANCE)
@@ -208,6 +217,9 @@ class _Calibration(NamedTuple):
     """None where light is that of the light sensor alone."""
     light_sd: float
     """Standard deviation of light and camera together, relative [-]."""
+    apart: NDArray[np.float64] | None = None
+    """Of one panel in several pictures, largest less smallest of its signal there over their mean,
+    in each band [-]."""
 
 
 class _Converted(NamedTuple):
@@ -388,9 +400,12 @@ def _calibration(
 ) -> _Calibration:
     """The line through panels of `known` reflectance, under the light of the first's picture."""
     by_sensor = not panels or light == "sensor"
+    # Of one reflectance, and each in another picture.
+    pictures = {panel.capture.paths[0] for panel in panels}
+    one = len(pictures) == len(panels) and all(np.array_equal(rho, known[0]) for rho in known)
     if light_sd is None:  # the usual one of this way, by the sensor's file
         ways = {gains.way: gains.sd for gains in shipped_sensor(sensor).calibrations}
-        by_panel = "panels" if len(panels) == 1 else "empirical_line"
+        by_panel = "panels" if one else "empirical_line"
         light_sd = float(np.max(ways["light_sensor" if by_sensor else by_panel]))
     if by_sensor:
         return _Calibration(light, panels, None, light_sd)
@@ -402,13 +417,14 @@ def _calibration(
     signal = jnp.array([panel.mean for panel in panels] / by)
     error = jnp.array([panel.spread / np.sqrt(panel.count) for panel in panels] / by)
     rho = jnp.array(known)
-    if len(panels) == 1:
-        line = one_panel_line(
-            signal[0], rho[0], signal_sd=error[0], reflectance_sd=panel_sd * rho[0]
-        )
-    else:
+    if not one:
         line = empirical_line(signal, rho, signal_sd=error, reflectance_sd=panel_sd * rho)
-    return _Calibration(light, panels, line, light_sd)
+        return _Calibration(light, panels, line, light_sd)
+    mean = signal.mean(axis=0)
+    error = jnp.linalg.norm(error, axis=0) / len(panels)
+    line = one_panel_line(mean, rho[0], signal_sd=error, reflectance_sd=panel_sd * rho[0])
+    apart = np.asarray(jnp.ptp(signal, axis=0) / mean) if len(panels) > 1 else None
+    return _Calibration(light, panels, line, light_sd, apart)
 
 
 def _check_bands(capture: Capture, first: Capture) -> None:
@@ -424,7 +440,7 @@ def _line_of(
     capture: Capture, calibration: _Calibration
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
     """The line under the light of a capture, and by what factor it changed since the panel."""
-    light, panels, line, light_sd = calibration
+    light, panels, line, light_sd, _ = calibration
     if line is None:
         level = jnp.asarray(capture.irradiance)
         return irradiance_line(level, irradiance_sd=light_sd * level), None

@@ -191,6 +191,19 @@ def panel_sentences(
     ]
 
 
+def one_panel_sentence(panels: Sequence[PanelView], light: str, apart: NDArray[np.float64]) -> str:
+    """A sentence on one panel in several pictures, between which its signal differs by the share
+    `apart` in each band [-]."""
+    worst = int(np.argmax(apart))
+    beyond = " beyond what the light sensor says" if light == "both" else ""
+    return (
+        f"{len(panels)} pictures of one panel, whose mean signal is taken: between them the light "
+        f"changed{beyond} by up to {100 * apart[worst]:.1f} % ({panels[0].capture.names[worst]}). "
+        "Where a shadow fell on one, name the other: --panel NAME"
+        + ("." if beyond else "; where light did change, use --light both.")
+    )
+
+
 def panel_summary(panel: PanelView, known: NDArray[np.float64]) -> PanelSummary:
     """Record of a panel; `known` is its reflectance in each band."""
     return PanelSummary(
