@@ -94,6 +94,17 @@ class CanopyView(NamedTuple):
     sky_share: float = 0.0
     hot_spot: float = 0.01
 
+    def check(
+        self,
+        bands: Sensor | BandSet | Float[np.ndarray, " band"],
+        reflectance: Float[np.ndarray, "pixel band"],
+        *,
+        soil: Float[np.ndarray, " band"] | float | None = None,
+        known: Mapping[str, float] | None = None,
+    ) -> None:
+        """Refuse at once what `fit_canopies` refuses, as it takes them, of pixels seen so."""
+        ready_pixels(bands, reflectance, self, soil, known)
+
 
 @double_precision
 def fit_canopy(
@@ -186,6 +197,37 @@ leaves at large (`LEAF_PARAMETERS`) |
         data = Data(names, jnp.asarray(value), alone).with_covariance(together)
     found = fit_function(model, data, space, max_steps=max_steps)
     return CanopyFit(found, {name: float(number) for name, number in (known or {}).items()})
+
+
+def ready_pixels(
+    bands: Any, reflectance: Any, view: CanopyView, soil: Any, known: Mapping[str, float] | None
+) -> tuple[tuple["_Model", ParameterSpace], np.ndarray, np.ndarray]:
+    """The model of a pixel and its space, the values that are fitted, and which of them there
+    are."""
+    own, centre = bands_and_centres(bands)
+    values = np.asarray(reflectance, float)
+    if values.ndim != 2 or values.shape[1] != centre.size:
+        raise InputError(
+            f"`reflectance` must be [pixel, {centre.size} bands], but has the shape {values.shape}"
+        )
+    seen = np.isfinite(values) & (values >= 0.0) & (values <= 1.0)
+    used = seen.any(axis=0)
+    if used.sum() < 3:
+        raise InputError(f"at least three bands must have a reflectance, but {used.sum()} have")
+    if isinstance(own, BandSet):
+        own = own.select(np.flatnonzero(used).tolist())
+    ground = None if soil is None else given_by_band(centre, soil=soil)[0][used]
+    centre, values, seen = centre[used], values[:, used], seen[:, used]
+    if not isinstance(own, BandSet):  # each bin the mean of what there is
+        bins = mean_bins(centre)
+        share = seen @ bins.T
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values = np.where(seen, values, 0.0) @ bins.T / share
+        centre, seen = bins @ centre, share > 0.0
+        ground = None if ground is None else binned(bins, ground)
+    if not (seen.sum(axis=1) >= 3).any():
+        raise InputError("some pixel must have a reflectance in three bands, but none has")
+    return canopy_model(own, centre, view, ground, known), values, seen
 
 
 def canopy_model(

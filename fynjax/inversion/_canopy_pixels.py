@@ -8,20 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from fynjax._core.errors import InputError
 from fynjax._core.precision import double_precision
 from fynjax._core.progress import track
-from fynjax.inversion._canopy import (
-    ABSOLUTE_SD,
-    RELATIVE_SD,
-    CanopyTable,
-    CanopyView,
-    bands_and_centres,
-    binned,
-    canopy_model,
-    given_by_band,
-    mean_bins,
-)
+from fynjax.inversion._canopy import ABSOLUTE_SD, RELATIVE_SD, CanopyTable, CanopyView, ready_pixels
 from fynjax.inversion._data import Data
 from fynjax.inversion._fit import fit_function
 from fynjax.inversion._space import ParameterSpace
@@ -31,7 +20,6 @@ from fynjax.sensors import BandSet, Sensor
 _AT_ONCE = 64
 _UNSEEN_SD = 1e3
 """Deviation of a band that a pixel has no value of [-]."""
-_FEWEST = 3
 
 
 class CanopyFits(eqx.Module):
@@ -85,13 +73,13 @@ def fit_canopies(
         image = xr.open_dataset("s2.nc").reflectance.stack(pixel=("y", "x")).values.T
         fits = fit_canopies(fx.sensor("sentinel_2a"), image, CanopyView(35.0))
     """
-    (model, space), values, seen = check_canopies(bands, reflectance, view, soil, known)
+    (model, space), values, seen = ready_pixels(bands, reflectance, view, soil, known)
     model = eqx.tree_at(
         lambda m: m.light, model, CanopyTable.made(view), is_leaf=lambda leaf: leaf is None
     )
     count = len(space.names)
     rows = np.full((len(values), 4 * count + 2), np.nan)
-    filled = seen.sum(axis=1) >= _FEWEST
+    filled = seen.sum(axis=1) >= 3
     points = np.concatenate([np.where(seen, values, 0.0), seen], axis=1)[filled]
     fit = _Fit(model, space, max_steps)
     batches = evaluate_batches(fit, points, batch=min(_AT_ONCE, len(points)))
@@ -101,37 +89,6 @@ def fit_canopies(
     return CanopyFits(
         space.names, estimate, lower, upper, constrained, rows[:, -2] == 1.0, rows[:, -1]
     )
-
-
-def check_canopies(
-    bands: Any, reflectance: Any, view: CanopyView, soil: Any, known: Mapping[str, float] | None
-) -> tuple[tuple[Any, ParameterSpace], np.ndarray, np.ndarray]:
-    """Refuse what `fit_canopies` refuses; else the model of a pixel and its space, the values that
-    are fitted, and which of them there are."""
-    own, centre = bands_and_centres(bands)
-    values = np.asarray(reflectance, float)
-    if values.ndim != 2 or values.shape[1] != centre.size:
-        raise InputError(
-            f"`reflectance` must be [pixel, {centre.size} bands], but has the shape {values.shape}"
-        )
-    seen = np.isfinite(values) & (values >= 0.0) & (values <= 1.0)
-    used = seen.any(axis=0)
-    if used.sum() < _FEWEST:
-        raise InputError(f"at least three bands must have a reflectance, but {used.sum()} have")
-    if isinstance(own, BandSet):
-        own = own.select(np.flatnonzero(used).tolist())
-    ground = None if soil is None else given_by_band(centre, soil=soil)[0][used]
-    centre, values, seen = centre[used], values[:, used], seen[:, used]
-    if not isinstance(own, BandSet):  # each bin the mean of what there is
-        bins = mean_bins(centre)
-        share = seen @ bins.T
-        with np.errstate(invalid="ignore", divide="ignore"):
-            values = np.where(seen, values, 0.0) @ bins.T / share
-        centre, seen = bins @ centre, share > 0.0
-        ground = None if ground is None else binned(bins, ground)
-    if not (seen.sum(axis=1) >= _FEWEST).any():
-        raise InputError("some pixel must have a reflectance in three bands, but none has")
-    return canopy_model(own, centre, view, ground, known), values, seen
 
 
 class _Fit(eqx.Module):

@@ -21,7 +21,6 @@ from fynjax.app.jobs._run import Run
 from fynjax.app.report import figures
 from fynjax.app.report.pages import Picture, Table
 from fynjax.inversion import CanopyFits, CanopyView, canopy_units, fit_canopies
-from fynjax.inversion._canopy_pixels import check_canopies
 
 _UNLIKE = 2.0
 """Misfit [errors] beyond which a pixel is unlike any such canopy."""
@@ -107,7 +106,7 @@ def fit_pixels(
     }
     views = _views(read, stated, sky_share)
     for view, rows in views:
-        check_canopies(read.bands, read.reflectance[rows], view, ground, taken)
+        view.check(read.bands, read.reflectance[rows], soil=ground, known=taken)
     size = f"{len(read.reflectance)} pixels"
     begin_work(
         {"traits.csv": size, "report.html": ""}
