@@ -1,5 +1,6 @@
 """`fynjax fit-canopy`: bands by any name, numbers on any scale, tables and images."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import xarray as xr
 import fynjax as fx
 from fynjax import jobs
 from fynjax.app.io.raster import RELATIVE_TAG, write_geotiff
-from fynjax.app.jobs._canopy_input import read_canopy_pixels
+from fynjax.app.jobs._canopy_input import ANGLES, read_canopy_pixels
+from fynjax.app.jobs._fit_pixels import _views
 from fynjax.errors import InputError
 from fynjax.inversion import CanopyView
 from fynjax.inversion._canopy import CanopyTable
@@ -103,7 +105,7 @@ def test_wavelengths_of_a_file_count_more_than_names_that_only_count(unit, tmp_p
 
 
 def test_the_wavelength_nearest_to_a_band_is_taken_and_a_spectrum_is_refused(tmp_path):
-    names = ["645", "663", "560", "865"]
+    names = ["652", "663", "560", "865"]
     table(SPECTRA[:, :4], names).to_csv(tmp_path / "p.csv", index=False)
     read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
     assert read.bands.names == ("B3", "B4", "B8A")
@@ -131,6 +133,72 @@ def test_radiance_is_refused_by_its_line_of_oxygen_and_by_what_the_file_says(tmp
     image.to_netcdf(tmp_path / "i.nc")
     with pytest.raises(InputError, match="says that it is radiance: W m-2"):
         read_canopy_pixels(tmp_path / "i.nc", None)
+
+
+def test_reflectance_that_only_looks_like_radiance_is_read(tmp_path):
+    """Where the line of oxygen is masked, over dark water, and in a folder of that name."""
+    nm = np.arange(400.0, 1000.0, 5.0)
+    canopy, line = np.where(nm > 700.0, 0.4, 0.05), np.abs(nm - 761.0) < 3.0
+    water = np.where(line, 0.003, 0.004)
+    names = [f"{at:g}" for at in nm]
+    for seen in (np.where(line, -9999.0, canopy)[None], np.where(line, 0.0, canopy)[None],
+                 np.stack([water] * 6 + [canopy] * 4)):  # fmt: skip
+        table(seen, names).to_csv(tmp_path / "p.csv", index=False)
+        assert read_canopy_pixels(tmp_path / "p.csv", None).bands.size == nm.size
+    shape = {"width": 4, "height": 2, "count": 11, "dtype": "float32"}
+    shape["transform"] = rasterio.Affine(1.0, 0.0, 5.0, 0.0, -1.0, 9.0)
+    for folder in ("sr", "radiance"):
+        path = tmp_path / folder / "radiance_to_refl.dat"
+        path.parent.mkdir()
+        with rasterio.open(path, "w", driver="ENVI", **shape) as file:
+            file.write(SPECTRA.T.reshape(11, 2, 4).astype(np.float32))
+            file.descriptions = NAMES
+        assert read_canopy_pixels(path, fx.sensor("sentinel_2a")).shape == (2, 4)
+    header = path.with_suffix(".hdr")
+    header.write_text(re.sub(r"(?<=description = ){[^}]*}", "{A radiance}", header.read_text()))
+    with pytest.raises(InputError, match="says that it is radiance: A radiance"):
+        read_canopy_pixels(path, fx.sensor("sentinel_2a"))
+
+
+@pytest.mark.parametrize("name", ["enmap", "emit", "aviris_ng"])
+def test_names_of_a_sensor_s_own_are_no_wavelengths(name, tmp_path):
+    sensor = fx.sensor(name)
+    seen = np.full((1, len(sensor.bands.names)), 0.2)
+    table(seen, sensor.bands.names).to_csv(tmp_path / "p.csv", index=False)
+    assert read_canopy_pixels(tmp_path / "p.csv", sensor).bands.names == sensor.bands.names
+
+
+@pytest.mark.parametrize(
+    ("names", "refused"),
+    [
+        ([f"b{i}" for i in range(1, 11)], "b1 to b10 only count"),
+        (["plot", *(f"band_{i}" for i in range(1, 5))], "band_1 to band_4 only count"),
+        ([*(f"band_{i}" for i in range(1, 9)), "band_8A", "band_9"], None),
+        (["B2", "B3", "B4", "B8"], None),
+    ],
+)
+def test_bands_of_sentinel_2_that_are_only_counted_are_refused(names, refused, tmp_path):
+    table(SPECTRA[:, : len(names)], names).to_csv(tmp_path / "p.csv", index=False)
+    if refused is None:
+        read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+        assert len(read.bands.names) == len(names)
+    else:
+        with pytest.raises(InputError, match=refused):
+            read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+
+
+def test_views_that_are_alike_are_one(tmp_path):
+    """Straight down, where an azimuth says nothing, and left and right of the sun."""
+    frame = table(
+        sun_zenith=30.0, view_zenith=[0.4, 0.0, 0.3, 0.0, 9.0, 9.0, 9.0, 9.0],
+        sun_azimuth=50.0, view_azimuth=[0, 12, np.nan, 70, 80, 20, 440, -340],
+    )  # fmt: skip
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
+    views = _views(read, dict.fromkeys(ANGLES), 0.0)
+    assert [(v.view_zenith, v.relative_azimuth, len(rows)) for v, rows in views] == [
+        (0.0, 0.0, 4), (9.0, 30.0, 4)
+    ]  # fmt: skip
 
 
 def test_azimuths_of_sun_and_view_are_those_of_one_another(tmp_path):
@@ -269,7 +337,7 @@ def test_traits_of_a_table_and_of_an_image(quick, tmp_path):
         ({"sun_zenith": None}, "zenith angle of the sun"),
         ({"sun_zenith": 0.61}, "0.61 looks like radians"),
         ({"names": ["sun_zenith [rad]", *NAMES[1:]], "sun_zenith": None}, "zenith in degrees"),
-        ({"relative_azimuth": np.inf}, "finite angles of every pixel"),
+        ({"relative_azimuth": np.inf, "view_zenith": 9.0}, "finite angles of every pixel"),
         ({"known": ["leaf_angle"]}, "NAME=NUMBER"),
         ({"known": ["leaf_angle=57", "leaf_angle=40"]}, "one value of leaf_angle"),
         ({"known": ["lai=3"]}, "no parameter 'lai'"),

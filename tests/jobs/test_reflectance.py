@@ -128,6 +128,9 @@ def test_a_panel_before_and_after_the_flight_is_one(light, marked, tmp_path: Pat
     assert [panel["capture"] for panel in summary["panels"]] == ["IMG_0000", "IMG_0009"]
     mean = 0.9 if light == "panel" else 1.0
     np.testing.assert_allclose(product(out)[2], ground() / mean, atol=4e-4, rtol=2e-3)
+    bands = summary["captures"]["IMG_0001"]["bands"]
+    change = 1.0 / 0.9 if light == "panel" else 1.0  # since the mean, or since the first
+    np.testing.assert_allclose([b["light_since_panel"] for b in bands], change, rtol=1e-3)
     sd = read_cube(out / "IMG_0001_reflectance_sd.tif").values[0]
     np.testing.assert_allclose(sd, np.hypot(0.02, 0.10) * product(out)[0][::-1], rtol=3e-3)
     (said,) = [text for text in summary["headline"] if "pictures of one panel" in text]

@@ -220,7 +220,10 @@ def _holes(values: Float[np.ndarray, "band y x"], path: Path) -> Bool[np.ndarray
         half = 0.5 * np.nanmedian(np.where(values == 0.0, np.nan, values), axis=(1, 2))
         lit = ((values >= half[:, None, None]) & (values > 0.0)).any(axis=0)
     zero, square = (values == 0.0) & lit, np.ones((1, 3, 3))
-    holes = binary_propagation(binary_opening(zero, square), square, zero).any(axis=0)
+    # A patch may go on beyond the image, and where it has no data.
+    dark = np.pad(zero | ~np.isfinite(values), ((0, 0), (1, 1), (1, 1)), constant_values=True)
+    patches = binary_opening(dark, square)[:, 1:-1, 1:-1] & zero
+    holes = binary_propagation(patches, square, zero).any(axis=0)
     if holes.any():
         warnings.warn(
             f"{path}: {int(holes.sum())} pixels are 0 in one band and bright in another: taken for "

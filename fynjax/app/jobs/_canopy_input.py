@@ -24,6 +24,7 @@ _BAND = re.compile(r"(?:sr[_ .]?)?b(?:and)?[_ .]?0*(\d+a?)", re.I)
 _WAVELENGTH = re.compile(
     r"(?:(?:r|rho|refl|reflectance|x|band|wl|w|nm)[ _.]?)?(\d{3,4}(?:\.\d+)?)(?:[ _.]?nm)?", re.I
 )
+_COUNTED = re.compile(r"b(?:and[ _.]?)?0*(\d+)", re.I)
 _CATALOGUE = {
     "coastal": 443.0, "rededge1": 704.0, "rededge2": 740.0, "rededge3": 783.0, "nir08": 865.0,
     "nir09": 945.0, "swir16": 1610.0, "swir22": 2200.0,
@@ -92,7 +93,7 @@ def _table(path: Path, sensor: Sensor | None) -> CanopyPixels:
     frame = table.columns(numbers, rest, missing=("", "na", "nan", "none", "null"))
     names = [table.names[i] for i in places]
     values, said = _scaled(frame[places].to_numpy(float), names, sensor)
-    said += _doubts(values, bands, said)
+    said += _doubts(values, bands, said, sensor)
     notes = frame[rest].set_axis([table.names[i] or "row" for i in rest], axis=1)
     seen = frame[list(angles.values())].set_axis(list(angles), axis=1)
     if both:
@@ -117,7 +118,7 @@ def _image(path: Path, sensor: Sensor | None) -> CanopyPixels:
         ]
         values = np.concatenate(parts).reshape(-1, len(places)).astype(float)
         values, said = _scaled(values, [cube.names[i] for i in places], sensor)
-        said += _doubts(values, bands, said)
+        said += _doubts(values, bands, said, sensor)
         if doubt := getattr(cube.source, "tags", {}).get(RELATIVE_TAG):
             said.append(f"{doubt}. Traits of it are wrong by more than their intervals.")
         return CanopyPixels(
@@ -134,7 +135,8 @@ def _places(
         found: dict[int, int] = {}
         apart: dict[int, float] = {}
         if stated is None or np.isnan(stated).all():
-            stated = _wavelengths(names)
+            known = [_band_of(name, sensor.bands) is not None for name in names]
+            stated = np.where(known, np.nan, _wavelengths(names))
             _check_no_count(names, sensor)
         near = [_nearest(float(at), sensor.bands) for at in stated]
         for i, name in enumerate(names):
@@ -193,15 +195,16 @@ def _places(
 
 def _check_no_count(names: tuple[str, ...], sensor: Sensor) -> None:
     """Refuse names that only count the bands of a file, where the sensor's own do not."""
-    count = [re.fullmatch(r"band[ _.]?0*(\d+)", name.strip(), re.I) for name in names]
-    number = [f"B{m[1]}" for m in count if m]
-    in_order = [f"B{i + 1}" for i in range(len(number))]
-    own = [name for name in sensor.bands.names if re.match(r"B\d", name)]
-    if number and number == in_order and own and own != [f"B{i + 1}" for i in range(len(own))]:
+    of_bands = [name for name in names if _band_of(name, sensor.bands) is not None]
+    numbers = [_COUNTED.fullmatch(name.strip()) for name in of_bands]
+    in_order = [m is not None and int(m[1]) == i + 1 for i, m in enumerate(numbers)]
+    # "B1" to "B8" may be the sensor's; beyond, its own go on by B8A.
+    said = any(m and m[0].lower().startswith("band") for m in numbers) or len(numbers) > 8
+    if said and all(in_order) and any(re.fullmatch(r"B\d+A", n) for n in sensor.bands.names):
         raise InputError(
-            f"expected names of bands of {sensor.name}, such as B2, B3, B8A, but {names[0]} to "
-            f"{names[len(number) - 1]} only count the file's bands. Name them, or state their "
-            "wavelengths in the file"
+            f"expected names of bands of {sensor.name}, such as B2, B3, B8A, but {of_bands[0]} to "
+            f"{of_bands[-1]} only count the file's bands. Name them, or state their wavelengths in "
+            "the file"
         )
 
 
@@ -280,7 +283,9 @@ def _scaled(
     )
 
 
-def _doubts(values: np.ndarray, bands: BandSet | np.ndarray, said: list[str]) -> list[str]:
+def _doubts(
+    values: np.ndarray, bands: BandSet | np.ndarray, said: list[str], sensor: Sensor | None
+) -> list[str]:
     """Sentences on an offset that is still in reflectance, and on a near infrared that no canopies
     have.
 
@@ -288,32 +293,38 @@ def _doubts(values: np.ndarray, bands: BandSet | np.ndarray, said: list[str]) ->
     """
     centre = np.asarray(getattr(bands, "centre", bands))
     beside, within, least = _OXYGEN
-    of_line = [values[:, (centre > low) & (centre < high)] for low, high in (beside, within)]
-    if all(np.isfinite(part).any() for part in of_line):
-        share = np.nanmedian(of_line[1]) / np.nanmedian(of_line[0])
+    columns = [(centre > low) & (centre < high) for low, high in (beside, within)]
+    if all(one.any() for one in columns):
+        level, line = (values[:, one].mean(axis=1) for one in columns)
+        there = (level > 0.0) & (line > 0.0)
+        bright = there & (level >= 0.5 * np.quantile(level[there], 0.95)) if there.any() else there
+        share = float(np.median(line[bright] / level[bright])) if bright.any() else 1.0
         if share < least:
             raise InputError(
                 f"expected reflectance, but at 761 nm, where oxygen absorbs, there is {share:.2f} "
-                "of what is at 750 nm, as in radiance. Make reflectance of it first"
+                "of what is at 750 nm, as in radiance and above the atmosphere. Make reflectance "
+                "of the surface of it first"
             )
     doubts = []
     some = values[np.isfinite(values) & (values > 0.0)]
     few = centre.size <= 13 and (centre < 700.0).any()
-    if few and some.size and np.quantile(some, 0.01) >= _OFFSET:
+    of_sentinel = sensor is None or sensor.name.startswith("sentinel_2")
+    if of_sentinel and few and some.size and np.quantile(some, 0.01) >= _OFFSET:
         doubts.append(
-            "Hardly any reflectance is below 0.1: is Sentinel-2's offset of 1000 ten thousandths "
-            "(baseline 04.00, since 2022) still in it? Take it off first."
+            "Hardly any reflectance is below 0.1: if this is Sentinel-2's, is its offset of 1000 "
+            "ten thousandths (baseline 04.00, since 2022) still in it? Take it off first."
         )
     near = values[:, (centre > _NEAR[0]) & (centre < _NEAR[1])]
     if not np.isfinite(near).any():
         return doubts
     high = float(np.nanquantile(near, 0.95))
     # What is percent by its numbers alone may be radiance.
-    if (2.0 if _PERCENT in said else 1.0) * _DARKEST < high < _BRIGHTEST:
+    darkest = (2.0 if _PERCENT in said else 1.0) * _DARKEST
+    if darkest < high < _BRIGHTEST:
         return doubts
     return [
         *doubts,
         f"So read, the near infrared of the brightest pixels is {high:.2g}, but of canopies "
-        f"{_DARKEST:g} to {_BRIGHTEST:g}: are the numbers in another scale, such as thousandths, "
+        f"{darkest:g} to {_BRIGHTEST:g}: are the numbers in another scale, such as thousandths, "
         "counts or radiance? Then give fractions of 0 to 1.",
     ]

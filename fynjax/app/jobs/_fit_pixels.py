@@ -136,8 +136,9 @@ def _known(given: Sequence[str]) -> dict[str, float]:
             raise InputError(
                 f"expected what is known as NAME=NUMBER, such as leaf_angle=57, but got {one!r}"
             ) from None
-        if found.setdefault(name.strip(), value) != value:
+        if found.get(name.strip(), value) != value and name.strip() in found:
             raise InputError(f"expected one value of {name.strip()}, but two are given")
+        found[name.strip()] = value
     return found
 
 
@@ -151,10 +152,9 @@ def _views(
     filled = there.sum(axis=1) >= 3
     if not filled.any():
         raise InputError("expected pixels with reflectance in at least three bands, but none has")
-    for name in ANGLES[:2]:
-        given = np.atleast_1d(own[name] if name in own else stated[name] or 0.0)
-        if 0.0 < (most := np.nanmax(given, initial=0.0)) <= 0.5 * np.pi and most % 1.0 != 0.0:
-            raise InputError(f"expected `{name}` in degrees, but {most:g} looks like radians")
+    sun = np.atleast_1d(own["sun_zenith"] if "sun_zenith" in own else stated["sun_zenith"] or 0.0)
+    if 0.0 < (most := np.nanmax(sun, initial=0.0)) <= 0.5 * np.pi and most % 1.0 != 0.0:
+        raise InputError(f"expected `sun_zenith` in degrees, but {most:g} looks like radians")
     columns = [own[name].round() if name in own else stated[name] for name in ANGLES]
     if columns[0] is None:
         raise InputError(
@@ -162,6 +162,9 @@ def _views(
             "with it, but there is neither"
         )
     angles = pd.DataFrame(dict(zip(ANGLES, columns)), index=own.index).astype(float)
+    # Left and right of the sun are alike, and straight down there is neither.
+    azimuth = ((angles["relative_azimuth"] + 180.0) % 360.0 - 180.0).abs()
+    angles["relative_azimuth"] = azimuth.where(angles["view_zenith"] != 0.0, 0.0)
     missing = ~np.isfinite(angles.to_numpy()).all(axis=1) & filled
     if missing.any():
         row = int(np.argmax(missing))

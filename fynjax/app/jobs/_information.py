@@ -215,8 +215,9 @@ def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
         sensor = ", ".join(words[key](value) for key, value in zip(keys, of, strict=True))
         lines.append(
             f"{sensor}: of {len(part)} covers {number.get('at every pixel', 0)} are told from "
-            f"none in every pixel up to {coarsest:g} m, {number.get('at fine pixels', 0)} only in "
-            f"fine ones, {number.get('at no pixel', 0)} not even at {finest:g} m."
+            f"no cover at every size of pixel up to {coarsest:g} m, "
+            f"{number.get('at fine pixels', 0)} only at fine ones, "
+            f"{number.get('at no pixel', 0)} not even at {finest:g} m."
         )
     return lines
 

@@ -440,14 +440,19 @@ def _line_of(
     capture: Capture, calibration: _Calibration
 ) -> tuple[EmpiricalLine, NDArray[np.float64] | None]:
     """The line under the light of a capture, and by what factor it changed since the panel."""
-    light, panels, line, light_sd, _ = calibration
+    light, panels, line, light_sd, apart = calibration
     if line is None:
         level = jnp.asarray(capture.irradiance)
         return irradiance_line(level, irradiance_sd=light_sd * level), None
     first = panels[0].capture
     _check_bands(capture, first)
-    stated = all(b.irradiance is not None for b in (*capture.bands, *first.bands))
-    change = capture.irradiance / first.irradiance if stated or light == "both" else None
+    # Of one panel in several pictures the mean counts, as long as the line is of their mean.
+    of_mean = apart is not None and light == "panel"
+    shown = [panel.capture for panel in (panels if of_mean else panels[:1])]
+    stated = all(b.irradiance is not None for c in (capture, *shown) for b in c.bands)
+    change = None
+    if stated or light == "both":
+        change = capture.irradiance / np.mean([c.irradiance for c in shown], axis=0)
     ratio = change if light == "both" and change is not None else np.ones(len(capture.bands))
     return line.relit(jnp.asarray(ratio), jnp.asarray(light_sd * ratio)), change
 

@@ -222,9 +222,9 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
             yield cube
         return
     with open_raster(path, "an image") as file:
-        _check_no_radiance(
-            *map(file.header.get, ("description", "data units")), *file.dataset.units
-        )
+        about = str(file.header.get("description")).replace(file.path.name, "")
+        about = re.sub(r"\S*[/\\]\S*", "", about)  # GDAL writes the file's path there
+        _check_no_radiance(about, units=(file.header.get("data units"), *file.dataset.units))
         places = np.array(file.bands) - 1
         # GeoTIFF's own tags may call bands bad.
         marks = [file.dataset.tags(n).get("bbl", "1").strip() for n in file.bands]
@@ -241,11 +241,13 @@ def open_blocks(path: str | Path) -> Iterator[CubeBlocks]:
         )
 
 
-def _check_no_radiance(*stated: Any) -> None:
-    """Refuse what its file calls radiance, by name or by a unit per steradian."""
-    for text in map(str, stated):
-        if _RADIANCE.search(text) and "reflectance" not in text.lower():
-            raise InputError(f"expected reflectance, but the file says that it is radiance: {text}")
+def _check_no_radiance(about: str, units: Sequence[Any] = ()) -> None:
+    """Refuse what its file calls radiance, in words or by a unit per steradian."""
+    texts = [text for text in map(str, units) if _STERADIAN.search(text)]
+    if _RADIANCE.search(about) and "reflectance" not in about.lower():
+        texts.append(about.strip())
+    if texts:
+        raise InputError(f"expected reflectance, but the file says that it is radiance: {texts[0]}")
 
 
 _UNREADABLE = (
@@ -255,7 +257,8 @@ _UNREADABLE = (
 """Errors that the libraries raise at damaged files."""
 
 
-_RADIANCE = re.compile(r"radiance|/ ?sr|\bsr ?\^?-1", re.I)
+_RADIANCE = re.compile(r"(?<!ir)radiance", re.I)
+_STERADIAN = re.compile(r"(?<!ir)radiance|\b(?:sr|str|steradians?)(?:\b|[-^])", re.I)
 _BAND = re.compile(r"(?:sr_)?b(?:and)?_?\d+a?|blue|green|red|red_?edge\d*|nir\d*|swir_?\d*", re.I)
 """Names of variables, each a band, as images of satellites are kept in xarray."""
 
@@ -276,6 +279,7 @@ def _with_bands(data: xr.Dataset) -> xr.Dataset:
     if len(images) == 1:
         ((name, values),) = images.items()
         if values["band"].dtype.kind in "OSUT":
+            _check_no_radiance(str(name))
             return data.rename({name: "reflectance"})
     return data
 
@@ -287,7 +291,8 @@ def _reflectance(data: xr.Dataset, around: list[xr.Dataset]) -> xr.DataArray:
             f"expected a variable 'reflectance', but it has {listed(map(str, data)) or 'none'}"
         )
     values = data["reflectance"]
-    _check_no_radiance(values.attrs.get("units"), values.attrs.get("long_name"))
+    said = str(values.attrs.get("long_name"))
+    _check_no_radiance(said, units=[values.attrs.get("units")])
     for axis in [d for d in values.dims if d in ("time", "t") and values.ndim > 3]:
         if values.sizes[axis] != 1:
             raise InputError(
