@@ -113,6 +113,15 @@ def test_wrong_input_is_refused(change, message):
         fit_canopy(given.pop("bands"), given.pop("reflectance"), **given)
 
 
+def test_a_gap_in_a_fine_soil_is_named_where_it_is():
+    nm = np.arange(400.0, 1000.0, 2.0)
+    soil = np.where(nm == 460.0, np.nan, 0.2)
+    with pytest.raises(InputError, match=r"has none at 46\d nm"):
+        fx.fit_canopy(nm, np.full(nm.size, 0.3), sun_zenith=30.0, soil=soil)
+    with pytest.raises(InputError, match=r"has none at 46\d nm"):
+        CanopyView(30.0).check(nm, np.full((1, nm.size), 0.3), soil=soil)
+
+
 def test_a_fine_spectrum_is_averaged_in_bins():
     fine = np.arange(400.0, 2501.0)
     bins = mean_bins(fine)

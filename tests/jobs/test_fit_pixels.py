@@ -110,6 +110,9 @@ def test_the_wavelength_nearest_to_a_band_is_taken_and_a_spectrum_is_refused(tmp
     read = read_canopy_pixels(tmp_path / "p.csv", fx.sensor("sentinel_2a"))
     assert read.bands.names == ("B3", "B4", "B8A")
     np.testing.assert_allclose(read.reflectance, SPECTRA[:, [2, 1, 3]])
+    table(SPECTRA[:, :4], ["B2", "blue", "560", "865"]).to_csv(tmp_path / "b.csv", index=False)
+    read = read_canopy_pixels(tmp_path / "b.csv", fx.sensor("sentinel_2a"))
+    np.testing.assert_allclose(read.reflectance, SPECTRA[:, [0, 2, 3]])  # of two the first
     fine = [str(nm) for nm in range(400, 1000, 10)]
     table(np.repeat(SPECTRA[:, :1], 60, axis=1), fine).to_csv(tmp_path / "s.csv", index=False)
     with pytest.raises(InputError, match=r"wavelengths are within one of them.*Leave the sensor"):

@@ -74,7 +74,7 @@ def test_a_cover_that_is_lost_at_a_pixel_is_said_to_be(values, detected, lost):
     assert limits["detected"].tolist() == [detected]
     assert limits["lost_from_gsd_m"].tolist() == pytest.approx([lost], nan_ok=True)
     (line,) = _limit_sentences(bounds(values), limits)
-    numbers = [int(n) for n in re.findall(r"(\d+) (?:are told|only|not)", line)]
+    numbers = [int(n) for n in re.findall(r"(\d+) (?:are detected|only|not)", line)]
     places = ["at every pixel", "at fine pixels", "at no pixel"]
     assert numbers == [place == detected for place in places]
 
@@ -83,8 +83,8 @@ def test_covers_are_counted_for_each_noise_and_sun():
     one = bounds((1.0, 5.0, 9.0))
     table = pd.concat([one, one.assign(noise=0.05, bound=[20.0, 30.0, np.inf])])
     first, second = _limit_sentences(table, limit_table(table, ["species.A.cover"]))
-    assert first.startswith("4 bands, noise 1 %: of 1 covers 1 are told")
-    assert second.startswith("4 bands, noise 5 %: of 1 covers 0 are told")
+    assert first.startswith("4 bands, noise 1 %: of 1 covers 1 are detected")
+    assert second.startswith("4 bands, noise 5 %: of 1 covers 0 are detected")
     (line,) = _limit_sentences(one, limit_table(one, ["species.A.cover"]))
     assert line.startswith("4 bands: of 1 covers")
 

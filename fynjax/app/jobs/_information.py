@@ -214,8 +214,8 @@ def _limit_sentences(table: pd.DataFrame, limits: pd.DataFrame) -> list[str]:
         number = part["detected"].value_counts()
         sensor = ", ".join(words[key](value) for key, value in zip(keys, of, strict=True))
         lines.append(
-            f"{sensor}: of {len(part)} covers {number.get('at every pixel', 0)} are told from "
-            f"no cover at every size of pixel up to {coarsest:g} m, "
+            f"{sensor}: of {len(part)} covers {number.get('at every pixel', 0)} are detected "
+            f"at every size of pixel up to {coarsest:g} m, "
             f"{number.get('at fine pixels', 0)} only at fine ones, "
             f"{number.get('at no pixel', 0)} not even at {finest:g} m."
         )

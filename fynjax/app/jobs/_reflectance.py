@@ -218,8 +218,8 @@ class _Calibration(NamedTuple):
     light_sd: float
     """Standard deviation of light and camera together, relative [-]."""
     apart: NDArray[np.float64] | None = None
-    """Of one panel in several pictures, largest less smallest of its signal there over their mean,
-    in each band [-]."""
+    """Range of the signals that one panel has in several pictures over their mean, in each band
+    [-]; None of a panel in one picture, and of several panels."""
 
 
 class _Converted(NamedTuple):
